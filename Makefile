@@ -13,13 +13,18 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
+# rapidocr brings OpenCV with windows, which needs libGL; the one without takes its place again
+HEADLESS = $(PIP) --force-reinstall --no-deps opencv-python-headless
+
 .PHONY: demo test test-slow test-footage guest-kernel test-guest guest-gadget guest-usbip check train clean
 
 # where recordings (data/) and third-party weights (models/) are
 SHARED ?= ../shared
 
 # what `make demo` runs: make demo GRAPH=follow SOURCE=webcam SET=policy.target=dog
-GRAPH ?= tracking
+# or another task: make demo TASK=text reads a street
+TASK ?= tracking
+GRAPH ?= $(TASK)
 SOURCE ?=
 SET ?=
 
@@ -35,7 +40,7 @@ DEVICE ?= auto
 # where pip finds torch: PyPI's own needs 5 GB of CUDA on Linux; for a GPU …/whl/cu130
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-demo: $(VENV)/.installed
+demo: $(VENV)/.installed $(patsubst %,$(VENV)/.installed-%,$(filter text,$(TASK) $(GRAPH)))
 	$(BIN)/fovea run graphs/$(GRAPH).yaml --duration-s 20 --save demo.rrd \
 		$(if $(SOURCE),--source $(SOURCE)) $(foreach change,$(SET),--set $(change))
 	@echo "look at it: $(BIN)/rerun demo.rrd"
@@ -117,4 +122,11 @@ $(VENV)/.installed-train: pyproject.toml $(VENV)/.installed
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.installed
 	@echo "installing what the tests need"
 	@$(PIP) --editable '.[dev]'
+	@$(HEADLESS)
+	@touch $@
+
+$(VENV)/.installed-text: pyproject.toml $(VENV)/.installed
+	@echo "installing what reads text: rapidocr and fonts"
+	@$(PIP) --editable '.[text]'
+	@$(HEADLESS)
 	@touch $@

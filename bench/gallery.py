@@ -10,6 +10,7 @@ measurement.
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from urllib.parse import quote
@@ -17,7 +18,7 @@ from urllib.parse import quote
 import click
 from PIL import Image
 
-from bench.headless import Page
+from bench.headless import Page, has_content
 from bench.options import Bench
 from operators.visualise.server import await_listener, free_ports, serve
 from pipeline.errors import RunError
@@ -64,8 +65,10 @@ def record(graph: str, path: Path, frames: int, changes: tuple[str, ...]) -> Non
         raise RunError(f"{graph}: {done.stderr.strip()[-500:]}")
 
 
-def photograph(recording: Path) -> bytes:
-    """Return a PNG of the end of a recording in Rerun's web viewer."""
+def photograph(
+    recording: Path, timeout_s: float = LIMIT_S, there: Callable[[bytes], bool] = has_content
+) -> bytes:
+    """Return a PNG of the end of a recording in Rerun's web viewer, once `there` is true of it."""
     port, web_port = free_ports(2)
     server = serve(port, web_port, recording)
     try:
@@ -73,7 +76,7 @@ def photograph(recording: Path) -> bytes:
         await_listener(data)
         address = f"http://127.0.0.1:{web_port}/?url={quote(data, safe='')}"
         with Page(address, SIZE_PX) as page:
-            return page.drawn(LIMIT_S)
+            return page.drawn(timeout_s, there)
     finally:
         server.terminate()
         server.wait()

@@ -10,6 +10,7 @@ import select
 import shutil
 import tempfile
 import time
+from collections.abc import Callable
 from io import BytesIO
 from subprocess import DEVNULL, Popen
 from typing import Any
@@ -37,6 +38,11 @@ def browser() -> str:
     if not found:
         raise RunError(f"expected one of {', '.join(NAMES)} to be installed, got none")
     return found[0]
+
+
+def has_content(png: bytes) -> bool:
+    """Return whether a picture is larger than that of an empty page."""
+    return len(png) > LEAST_BYTES
 
 
 class Page:
@@ -113,19 +119,20 @@ class Page:
         """Return what is on the page now, as PNG."""
         return base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"])
 
-    def drawn(self, timeout_s: float) -> bytes:
+    def drawn(self, timeout_s: float, there: Callable[[bytes], bool] = has_content) -> bytes:
         """Return a PNG of the page once nothing changes between looks, or at the timeout.
 
-        Raises `RunError` when there is nothing on it then.
+        `there` says whether a PNG has on it what is waited for. Raises `RunError` when it has not
+        at the timeout.
         """
         late_s, before = time.monotonic() + timeout_s, b""
         while time.monotonic() < late_s:
             time.sleep(SETTLE_S)
             now = self.photograph()
-            if len(now) > LEAST_BYTES and before and below_bar(now) == below_bar(before):
+            if there(now) and before and below_bar(now) == below_bar(before):
                 break
             before = now
-        if len(before) > LEAST_BYTES:
+        if before and there(before):
             return before
         raise RunError(f"chromium: {self._url} was not drawn within {timeout_s:.0f} s")
 

@@ -53,7 +53,8 @@ class Exposure:
     `roi` is empty, with an empty window, when the sensor reads no region in this exposure. A sensor
     that cannot expose both at once says so (`Capabilities.same_exposure`, `Frame.delay_ns`). A
     simulated sensor may include the ground truth; only the oracle strategy uses it. `further` are
-    windows 2 to K of a sensor that reads K, empty where they are not read.
+    windows 2 to K of a sensor that reads K, empty where they are not read. `full` is the whole
+    field at full resolution, from a simulated sensor that was asked for it, for viewers.
     """
 
     header: Header
@@ -61,6 +62,7 @@ class Exposure:
     roi: Frame
     truth: Annotations | None = None
     further: tuple[Frame, ...] = ()  # Capabilities.rois - 1 of them
+    full: Frame | None = None
 
 
 class DualStreamSensor(Protocol):

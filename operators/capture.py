@@ -61,6 +61,7 @@ class Capture(Source[CaptureSettings, Frame]):
     roi_2 = Output(Frame)  # further windows of the same exposure, where the sensor reads several
     roi_3 = Output(Frame)
     roi_4 = Output(Frame)
+    full = Output(Frame)  # the whole field, where a simulated sensor is asked for it
     truth = Output(Truth)
 
     _sensor: DualStreamSensor | None = None
@@ -101,6 +102,8 @@ class Capture(Source[CaptureSettings, Frame]):
             return None
         answers: dict[str, Message] = {"context": exposure.context, "roi": exposure.roi}
         answers.update(zip(FURTHER, exposure.further, strict=False))
+        if exposure.full is not None:
+            answers["full"] = exposure.full
         if exposure.truth is not None:
             answers["truth"] = truth_of(exposure.truth, exposure.header)
         return answers

@@ -2,14 +2,16 @@
 
 `fovea record` adds it to a running graph; a graph may also hold it as a manual node. Its inputs are
 taps, named by type and number; the edge says which output an input records. The handlers only
-queue, a thread writes.
+queue, a thread writes. In real time the graph waits for neither: what there is no room for is
+dropped and counted.
 """
 
 import threading
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pipeline.client.local import LocalGraph
 from pipeline.contract import HEADLINE, INCOMPLETE, Input, Operator
@@ -25,8 +27,9 @@ from pipeline.messages import (
     Tracks,
     Truth,
 )
+from pipeline.node.live import kept
 from pipeline.recording.recorder import Limits, Recorder, total
-from pipeline.run.rundir import running
+from pipeline.run.rundir import folder_of, running
 from pipeline.version import described
 
 INPUTS = {  # by type: how many outputs of it can be recorded
@@ -40,6 +43,7 @@ INPUTS = {  # by type: how many outputs of it can be recorded
     Truth: 3,
 }
 ASK_S = 1.0  # between two looks at the graph
+LIVE_S = 0.1  # between two looks at the files of settings that were changed
 SETTINGS_LOOKS = 10  # every so many of them, the nodes are asked for their settings
 
 
@@ -49,7 +53,7 @@ class RecordSettings:
 
     path: str = ""  # of the .mcap file; further files are PATH-2.mcap, PATH-3.mcap …
     outputs: Mapping[str, str] = field(default_factory=dict)  # input -> node.output
-    lossless: tuple[str, ...] = ()  # inputs that wait for room in the queue rather than drop
+    lossless: tuple[str, ...] = ()  # in lockstep: wait for room in the queue rather than drop
     graph: str = ""  # the running graph whose plan, settings, accounts and events are recorded
     file_mb: float = 0.0  # begin a new file at this size
     file_s: float = 0.0  # and after this time
@@ -86,6 +90,7 @@ class Record(Operator[RecordSettings, None]):
     """
 
     commands = ("write", "figures")
+    recorder_type: ClassVar[type[Recorder]] = Recorder
 
     _recorder: Recorder | None = None
     _watch: "_Watch | None" = None
@@ -97,7 +102,7 @@ class Record(Operator[RecordSettings, None]):
         if not s.path:  # not in the settings: a graph may hold a recorder that is not started
             raise SettingsError("record.path: expected a file to write, got none")
         self._empty: dict[str, int] = {}  # frames without a box, by output
-        self._recorder = Recorder(Path(s.path).absolute(), s.limits())
+        self._recorder = self.recorder_type(Path(s.path).absolute(), s.limits())
         self._recorder.note("graph", {"version": described(), "name": s.graph})
         if s.graph:
             self._watch = _Watch(s.graph, self._recorder)
@@ -192,6 +197,7 @@ class _Watch:
         self._graph, self._recorder = graph, recorder
         self._plan: Any = None
         self._nodes: dict[str, tuple[str, int]] = {}
+        self._live = _LiveFiles(folder_of(graph))
         self._stopped = threading.Event()
         self._look(0)
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
@@ -203,10 +209,18 @@ class _Watch:
         self._thread.join(ASK_S)
 
     def _run(self) -> None:
-        looks = 0
-        while not self._stopped.wait(ASK_S):
-            looks += 1
-            self._look(looks)
+        looks, asked_s = 0, time.monotonic()
+        while not self._stopped.wait(LIVE_S):
+            for node, values, at_ns in self._live.changes(self._planned()):
+                event = {"event": "set", "node": node, "settings": values, "at_ns": at_ns}
+                self._recorder.note("events", event, at_ns)
+            if time.monotonic() - asked_s >= ASK_S:
+                looks, asked_s = looks + 1, time.monotonic()
+                self._look(looks)
+
+    def _planned(self) -> dict[str, dict[str, Any]]:
+        """Return the settings of each node by the plan."""
+        return {node["name"]: node["settings"] for node in (self._plan or {}).get("nodes", ())}
 
     def _look(self, looks: int) -> None:
         try:
@@ -247,3 +261,33 @@ class _Watch:
             except FoveaError:
                 continue  # it is busy; its settings in the plan are known
         self._recorder.note("settings", found)
+
+
+class _LiveFiles:
+    """The files in which the nodes of this host keep the settings that `fovea set` changed."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._known: dict[str, tuple[int, dict[str, Any]]] = {}
+        list(self.changes({}))  # what was set before
+
+    def changes(
+        self, planned: Mapping[str, Mapping[str, Any]]
+    ) -> Iterator[tuple[str, dict[str, Any], int]]:
+        """Yield node, changed settings and the time of the change, in ns of the wall clock.
+
+        A node's first file also holds what it was `planned` with.
+        """
+        for file in sorted(self._folder.glob("*.live")):
+            try:
+                at_ns = file.stat().st_mtime_ns
+            except OSError:
+                continue  # the graph is ending
+            before_ns, known = self._known.get(file.stem, (0, {}))
+            if at_ns == before_ns:
+                continue
+            values, before = kept(file), {**planned.get(file.stem, {}), **known}
+            self._known[file.stem] = at_ns, values
+            changed = {k: v for k, v in values.items() if k not in before or before[k] != v}
+            if changed:
+                yield file.stem, changed, at_ns

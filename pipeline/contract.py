@@ -54,7 +54,9 @@ class Input:
     max_age_ms: float = 0.0  # stale when older than this since its stamp; 0: never; not in lockstep
     stale: Literal["drop", "pass"] = "drop"  # drop and count it, or pass it on uncounted
     command: bool = False  # a sensor command: closes the loop, only the newest is kept
-    tap: bool = False  # a viewer: its messages are copied, so that it pins no memory
+    # a viewer: its messages are copied, so that it pins no memory; in real time no writer waits
+    # for it: with keep="every" the oldest are dropped when more than `depth` wait
+    tap: bool = False
 
 
 @dataclass(frozen=True)

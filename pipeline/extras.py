@@ -6,7 +6,9 @@ from typing import Any
 from pipeline.errors import InstallError
 
 EXTRAS = {  # by the name that is imported
+    "PIL": "text",
     "cryptography": "fleet",
+    "fontTools": "text",
     "google": "record",
     "gym_aloha": "robot",
     "h5py": "robot",
@@ -15,12 +17,15 @@ EXTRAS = {  # by the name that is imported
     "mujoco": "robot",
     "onnx": "train",
     "prometheus_client": "metrics",
+    "rapidocr": "text",
     "torch": "train",
     "trackeval": "mot",
     "usb": "usb",
     "zstandard": "record",
 }
 PACKAGES = {
+    "PIL": "pillow",
+    "fontTools": "fonttools",
     "google": "protobuf",
     "gym_aloha": "gym-aloha",
     "prometheus_client": "prometheus-client",

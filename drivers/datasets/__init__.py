@@ -4,6 +4,15 @@ from drivers.datasets.aloha import AlohaEpisode
 from drivers.datasets.images import ImageFolder
 from drivers.datasets.mot import MotSequence
 from drivers.datasets.soccernet import SoccerNetSequence
+from drivers.datasets.texts import PannedPictures, RoadTextVideo
 from drivers.datasets.video import VideoFile
 
-__all__ = ["AlohaEpisode", "ImageFolder", "MotSequence", "SoccerNetSequence", "VideoFile"]
+__all__ = [
+    "AlohaEpisode",
+    "ImageFolder",
+    "MotSequence",
+    "PannedPictures",
+    "RoadTextVideo",
+    "SoccerNetSequence",
+    "VideoFile",
+]

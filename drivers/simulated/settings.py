@@ -54,6 +54,7 @@ class SimulatedSensorSettings:
     budget: float = 0.125  # share of the full pixel rate
     strategy: Strategy = "foveated"
     oracle_label: str = "ball"
+    full: bool = False  # also send the whole picture, for viewers; no part of the budget
 
     def __post_init__(self) -> None:
         if bool(self.scene) == bool(self.source):

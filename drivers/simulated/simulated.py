@@ -105,6 +105,7 @@ class SimulatedSensor:
             interval = found.interval
             sides = {"context": found.context_px, "roi": found.roi_px}
             sides |= dict.fromkeys(FURTHER[: found.rois - 1], found.roi_px)
+            sides |= {"full": size_px} if settings.full else {}
             streams = {n: pictures(px, form, rate_hz / interval) for n, px in sides.items()}
         return Forecast(
             streams=streams,
@@ -245,6 +246,12 @@ class SimulatedSensor:
             raise DriverError("simulated sensor: not open")
         return self._source
 
+    def _read_sizes(self) -> list[tuple[int, int]]:
+        """Width and height of the pictures of an exposure."""
+        found = self._sampling
+        full = [self._opened().size_px] if self._settings.full else []
+        return [found.context_px, found.roi_px, *full]
+
     def _prepare(self, source: FrameSource) -> None:
         settings = self._settings
         self._sampling = settings.sampling(source.size_px)
@@ -255,7 +262,7 @@ class SimulatedSensor:
             noise=settings.noise,
             response=settings.response,
             seed=settings.seed,
-            most_px=max(math.prod(self._sampling.context_px), math.prod(self._sampling.roi_px)),
+            most_px=max(map(math.prod, self._read_sizes())),
         )
         self._commands = CommandTable(
             self._stream, geometry, latency_frames=settings.latency_frames, rois=settings.rois
@@ -287,7 +294,18 @@ class SimulatedSensor:
             roi_pixel_format=readout.form_of(aim.window, found.roi_px).name,
             truth=ready.truth,
         )
-        return replace(exposure, further=further) if further else exposure
+        full = self._whole(header, ready, loan, whole) if self._settings.full else None
+        return replace(exposure, further=further, full=full) if further or full else exposure
+
+    def _whole(
+        self, header: Header, ready: Ready, loan: Loan, window: tuple[int, int, int, int]
+    ) -> Frame:
+        """The whole field at full resolution, for viewers: it does not count as read."""
+        readout, size_px = self._readout, (window[2], window[3])
+        out = loan("full", readout.shape(size_px), readout.dtype)
+        readout.read(ready.pixels, window, out, seq=header.seq, port=0)
+        form = readout.form_of(window, size_px).name
+        return Frame(header=header, pixels=out, window=window, pixel_format=form)
 
     def _aims(self, seq: int, truth: Annotations | None) -> list[Commanded]:
         """Where the windows look in frame `seq`; what nothing covers holds the last ones."""

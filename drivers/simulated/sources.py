@@ -11,6 +11,7 @@ from pipeline.import_path import imported
 SCENES = {
     "soccer": "drivers.scenes:SoccerScene",
     "panorama": "drivers.scenes:PanoramaScene",
+    "road": "drivers.scenes:RoadScene",
     "insertion": "drivers.scenes:InsertionScene",
 }
 CAMERAS = {  # of the scene `soccer`, by its option `camera`: each draws in a way of its own

@@ -11,6 +11,9 @@ from operators.policy.former import NO_POLICY
 from operators.policy.greedy import GreedyPolicy, GreedyPolicySettings, GreedyState
 from operators.policy.learned import LearnedPolicy, LearnedPolicySettings
 from operators.policy.pursuit import PursuitPolicy, PursuitPolicySettings, PursuitState
+from operators.policy.reading import ReadingPolicy, ReadingPolicySettings
+from operators.policy.reading_greedy import GreedyReadingPolicy, GreedyReadingPolicySettings
+from operators.policy.reading_inputs import TextPolicyState
 from operators.policy.round_robin import (
     RoundRobinPolicy,
     RoundRobinPolicySettings,
@@ -22,6 +25,8 @@ __all__ = [
     "CentredPolicySettings",
     "GreedyPolicy",
     "GreedyPolicySettings",
+    "GreedyReadingPolicy",
+    "GreedyReadingPolicySettings",
     "GreedyState",
     "LearnedPolicy",
     "LearnedPolicySettings",
@@ -29,9 +34,12 @@ __all__ = [
     "PursuitPolicy",
     "PursuitPolicySettings",
     "PursuitState",
+    "ReadingPolicy",
+    "ReadingPolicySettings",
     "RoundRobinPolicy",
     "RoundRobinPolicySettings",
     "RoundRobinState",
+    "TextPolicyState",
 ]
 
 

@@ -9,7 +9,8 @@ from typing import ClassVar
 
 from operators.policy.former import STRATEGY
 from operators.policy.gaze_plan import check_horizon, field_centre, scanpath, stay
-from pipeline import Input, Operator, RoiFeatures, Scanpath, Tracks
+from operators.policy.inputs import PolicyInputs
+from pipeline import Scanpath, Tracks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,14 +25,8 @@ class CentredPolicySettings:
         check_horizon(self.horizon)
 
 
-class CentredPolicy(Operator[CentredPolicySettings, Scanpath]):
+class CentredPolicy(PolicyInputs[CentredPolicySettings]):
     """Returns the same position for every frame."""
-
-    tracks = Input(Tracks, keep="every")
-    features = Input(RoiFeatures, join=False)
-
-    def on_features(self, features: RoiFeatures) -> None:
-        """Do nothing; the input makes policies interchangeable."""
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""

@@ -130,12 +130,12 @@ class Recording:
         return {int(i): str(label) for i, label in pairs}
 
 
-def made_with(frames: int, changes: tuple[str, ...] = ()) -> dict[str, str]:
+def made_with(frames: int, changes: tuple[str, ...] = (), graph: Path = GRAPH) -> dict[str, str]:
     """Return what determines a recording besides its seed; raises `FoveaError` for bad changes.
 
     `changes` are settings as `--set` takes them, e.g. other weights for the detector.
     """
-    plan = load(GRAPH, Overlay(changes=changes, clock="lockstep"))
+    plan = load(graph, Overlay(changes=changes, clock="lockstep"))
     return of_plan(plan) | of_code("drivers") | {"frames": str(frames)}
 
 
@@ -148,28 +148,29 @@ def record(
     changes: tuple[str, ...] = (),
     say: Callable[[str], None] = print,
     name: str = "record clips",
+    graph: Path = GRAPH,
 ) -> list[Path]:
     """Record the first `frames` frames of each seed's scene; clips already there are kept.
 
     Clips that are damaged, or were recorded with other settings, networks or code, are recorded
     again one by one, so that a retrained detector needs no other folder.
     """
-    made = made_with(frames, changes)
+    made = made_with(frames, changes, graph)
     folder.mkdir(parents=True, exist_ok=True)
     wanted = [folder / f"{seed}.npz" for seed in seeds]
     missing = files.outdated(wanted, made, say)
     with pool_of(workers) as pool:
-        jobs = [pool.submit(_record, path, frames, changes, made) for path in missing]
+        jobs = [pool.submit(_record, path, frames, changes, made, graph) for path in missing]
         for job in tracked(jobs, name):
             job.result()
     return wanted
 
 
-def _record(path: Path, frames: int, changes: tuple[str, ...], made: Identity) -> None:
+def _record(path: Path, frames: int, changes: tuple[str, ...], made: Identity, graph: Path) -> None:
     """One clip; its file is named after its seed."""
     cv2.setNumThreads(1)
     own = (f"capture.options.seed={path.stem}", f"capture.options.frames={frames}")
-    plan = load(GRAPH, Overlay(changes=(*own, *changes), clock="lockstep"))
+    plan = load(graph, Overlay(changes=(*own, *changes), clock="lockstep"))
     heard: list[dict[str, Message]] = [{}]
     with InlineRunner(
         plan, watch=lambda output, message: heard[-1].update({output: message})

@@ -27,6 +27,7 @@ from operators.policy.decision import (
 )
 from operators.policy.former import CARRIERS, FEEDBACK, PRIOR, STRATEGY
 from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath, stay
+from operators.policy.inputs import PolicyInputs
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
 from operators.policy.network import PolicyNetwork, file_of
@@ -34,8 +35,6 @@ from operators.policy.search import busiest
 from operators.policy.target import TargetSettings, check_known, check_label, told_before
 from pipeline import (
     Header,
-    Input,
-    Operator,
     RoiFeatures,
     Scanpath,
     SettingsError,
@@ -81,14 +80,12 @@ class LearnedPolicySettings(TargetSettings, NetworkSettings):
             )
 
 
-class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
+class LearnedPolicy(PolicyInputs[LearnedPolicySettings]):
     """Always proposes windows: without objects, positions to look at.
 
     Only for non-finite inputs it makes no proposal, so that the last plan stays in effect.
     """
 
-    tracks = Input(Tracks, keep="every")
-    features = Input(RoiFeatures, join=False)
     live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box", "least_genuine")
 
     @classmethod

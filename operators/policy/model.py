@@ -45,6 +45,13 @@ def perceptron(inputs: int, width: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(inputs, 64), nn.ReLU(), nn.Linear(64, width))
 
 
+def conditioner(inputs: int) -> nn.Sequential:
+    """Numbers -> the condition token."""
+    return nn.Sequential(
+        nn.Linear(inputs, 2 * EMBEDDED), nn.ReLU(), nn.Linear(2 * EMBEDDED, EMBEDDED)
+    )
+
+
 class Layer(nn.Module):
     """A pre-norm encoder layer; torch's own cannot be exported with a dynamic N."""
 
@@ -95,9 +102,7 @@ class PolicyNet(nn.Module):
         self.motion = perceptron(BOX * horizon, WIDTHS["motion"])
         self.norms = nn.ModuleDict({name: nn.LayerNorm(width) for name, width in WIDTHS.items()})
         self.embed = nn.Linear(sum(WIDTHS.values()), EMBEDDED)
-        self.condition = nn.Sequential(
-            nn.Linear(CONDITION, 2 * EMBEDDED), nn.ReLU(), nn.Linear(2 * EMBEDDED, EMBEDDED)
-        )
+        self.condition = conditioner(CONDITION)
         self.layers = nn.ModuleList(Layer() for _ in range(LAYERS))
         self.head = nn.Sequential(
             nn.LayerNorm(EMBEDDED),
@@ -124,6 +129,10 @@ class PolicyNet(nn.Module):
             "detection": self.detection(torch.cat([boxes.flatten(2), label, place[..., None]], -1)),
             "motion": self.motion(predicted.flatten(2)),
         }
+        return self.chosen(parts, condition, mask)
+
+    def chosen(self, parts: dict[str, Tensor], condition: Tensor, mask: Tensor) -> Tensor:
+        """Parts of the tokens (B, N, width), condition, mask (B, N) -> logits (B, N, Tp)."""
         normalised = [
             self.norms[name](part) * float(name == "detection" or name in self.use)
             for name, part in parts.items()

@@ -6,8 +6,8 @@ from typing import Any, ClassVar, TypeVar
 
 from operators.policy.former import STRATEGY
 from operators.policy.gaze_plan import check_horizon
+from operators.policy.inputs import PolicyInputs
 from operators.policy.target import check_known, check_label
-from pipeline import Input, Operator, RoiFeatures, Scanpath, Tracks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,14 +26,12 @@ class ClassPolicySettings:
 S = TypeVar("S", bound=ClassPolicySettings)
 
 
-class ClassPolicy(Operator[S, Scanpath]):
+class ClassPolicy(PolicyInputs[S]):
     """The inputs that make policies interchangeable, and a target that may change while it runs.
 
     A class that overrides `open` or `on_tracks` calls the one here.
     """
 
-    tracks = Input(Tracks, keep="every")
-    features = Input(RoiFeatures, join=False)
     live: ClassVar[tuple[str, ...]] = ("target",)
 
     @classmethod

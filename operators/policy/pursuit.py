@@ -35,6 +35,7 @@ from operators.policy.gaze_plan import (
     scanpath,
     stay,
 )
+from operators.policy.inputs import PolicyInputs
 from operators.policy.search import DWELL, busiest, fullest, search
 from operators.policy.target import (
     BIND_IOU,
@@ -46,7 +47,7 @@ from operators.policy.target import (
     unknown_label,
 )
 from operators.policy.verdicts import Verdicts, judged, none_given
-from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
+from pipeline import Header, RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.boxes import centres, iou, sizes
 
 log = logging.getLogger(__name__)
@@ -105,11 +106,9 @@ class PursuitState:
         return self if spec == self.spec else PursuitState(spec=spec, verdicts=self.verdicts)
 
 
-class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
+class PursuitPolicy(PolicyInputs[PursuitPolicySettings]):
     """Always proposes windows: without objects, positions to look at."""
 
-    tracks = Input(Tracks, keep="every")
-    features = Input(RoiFeatures, join=False)
     live: ClassVar[tuple[str, ...]] = (
         "target", "target_id", "prompt_box", "least_probability",
     )  # fmt: skip

@@ -14,7 +14,7 @@ from operators.policy.gaze_plan import (
     stay,
 )
 from operators.policy.of_class import ClassPolicy, ClassPolicySettings
-from pipeline import Header, RoiFeatures, Scanpath, SettingsError, Tracks
+from pipeline import Header, Scanpath, SettingsError, Tracks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,9 +56,6 @@ class RoundRobinPolicy(ClassPolicy[RoundRobinPolicySettings]):
     def restore(self, state: RoundRobinState) -> None:
         """Take over the round of another instance."""
         self._state = state
-
-    def on_features(self, features: RoiFeatures) -> None:
-        """Do nothing; the input makes policies interchangeable."""
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""

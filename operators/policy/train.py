@@ -19,11 +19,13 @@ from operators.training.ranges import DEVICES
 from pipeline.extras import need
 
 
-def _told(frames: Sequence[int]) -> str:
+def told(frames: Sequence[int]) -> str:
+    """Return numbers of frames as an option takes them."""
     return ",".join(str(each) for each in frames)
 
 
-def _frames(option: str, text: str) -> tuple[int, ...]:
+def frames_of(option: str, text: str) -> tuple[int, ...]:
+    """Return the numbers of an option such as 1,2,4; raises `click.UsageError`."""
     try:
         found = tuple(int(part) for part in text.split(","))
     except ValueError:
@@ -40,8 +42,8 @@ def _frames(option: str, text: str) -> tuple[int, ...]:
 @click.option("--data", type=Path, required=True, help="recorded clips, created if missing")
 @click.option("--out", type=Path, required=True, help="checkpoint, log, plot, policy.onnx")
 @click.option("--use", default=",".join(PARTS), show_default=True, help="inputs; for ablations")
-@click.option("--delays", default=_told(Late.delays), show_default=True, help="frames, when late")
-@click.option("--replans", default=_told(Late.replans), show_default=True, help="Ta, when seldom")
+@click.option("--delays", default=told(Late.delays), show_default=True, help="frames, when late")
+@click.option("--replans", default=told(Late.replans), show_default=True, help="Ta, when seldom")
 @click.option("--utility", default="geometric", show_default=True, help=" | ".join(UTILITIES))
 @click.option("--device", default="auto", show_default=True, help=DEVICES)
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE", help="of recording")
@@ -54,7 +56,7 @@ def command(
     for part in parts:
         if part not in PARTS:
             raise click.UsageError(f"--use: expected some of {', '.join(PARTS)}, got {part}")
-    late = Late(delays=_frames("--delays", delays), replans=_frames("--replans", replans))
+    late = Late(delays=frames_of("--delays", delays), replans=frames_of("--replans", replans))
     plain = {"data": data, "out": out, "utility": utility, "device": device, "changes": changes}
     with in_a_sentence(GOES_ON):
         need("torch", "train")

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 SHIPPED = Path(__file__).with_name("detector.onnx")
 EIGHT_BITS = Path(__file__).with_name("detector_int8.onnx")  # the same in half the time
 OBJECTS = Path(__file__).parent / "objects" / "objects.onnx"  # what a robot handles
-NAMED = {"": SHIPPED, "eight_bits": EIGHT_BITS, "objects": OBJECTS}
+TEXT = Path(__file__).with_name("text.onnx")  # texts in streets, as turned boxes
+NAMED = {"": SHIPPED, "eight_bits": EIGHT_BITS, "objects": OBJECTS, "text": TEXT}
 FEATURE_STRIDE_PX = 8
 USUAL_CONFIDENCE = 0.25
 INPUT_TYPES = ("tensor(float)", HALF)

@@ -33,15 +33,25 @@ def find_hits(
     Each true box is hit once, by the best detection that fits; what fits only an ignored box does
     not count. Fitting is IoU >= 0.5, or a centre within `BALL_REACH_PX` (pixels of the boxes).
     """
-    hits, counts = np.zeros(len(boxes), np.bool_), np.ones(len(boxes), np.bool_)
     if not len(boxes) or not len(truth):
-        return hits, counts
+        return np.zeros(len(boxes), np.bool_), np.ones(len(boxes), np.bool_)
     if by_centre:
         away = np.linalg.norm(centres(boxes)[:, None] - centres(truth)[None], axis=2)
-        fit = np.where(away <= BALL_REACH_PX, 1 + BALL_REACH_PX - away, 0)
-    else:
-        overlap = iou(boxes, truth)
-        fit = np.where(overlap >= LEAST_IOU, overlap, 0)
+        return assigned(np.where(away <= BALL_REACH_PX, 1 + BALL_REACH_PX - away, 0), ignored)
+    overlap = iou(boxes, truth)
+    return assigned(np.where(overlap >= LEAST_IOU, overlap, 0), ignored)
+
+
+def assigned(
+    fit: NDArray[np.floating], ignored: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Hits, and what counts at all, by how well detections, best first, fit truths: (n, m).
+
+    0 where one does not fit.
+    """
+    hits, counts = np.zeros(len(fit), np.bool_), np.ones(len(fit), np.bool_)
+    if not fit.shape[1]:
+        return hits, counts
     free = ~ignored
     for row, chances in enumerate(fit):
         open_ones = chances * free

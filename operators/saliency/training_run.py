@@ -4,7 +4,6 @@ It renders missing scenes, trains in bfloat16 with a running mean of the weights
 checkpoints at intervals, from which it resumes. `--export` writes the ONNX file that fovea ships.
 """
 
-# mypy: disallow-untyped-decorators=False
 import time
 from collections.abc import Sequence
 from hashlib import sha256
@@ -24,6 +23,7 @@ from operators.saliency.render import made_with, render
 from operators.saliency.stills import Stills, stills
 from operators.saliency.training_settings import TrainSettings
 from operators.training import checkpoint
+from operators.training.averaging import follow, groups
 from operators.training.device import device_of
 from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
@@ -48,13 +48,9 @@ class Run(checkpoint.Progress):
         self.net = DetectorNet().to(self.device, memory_format=torch.channels_last)
         self.mean = DetectorNet().to(self.device)
         self.mean.load_state_dict(self.net.state_dict())
-        matrices = [p for p in self.net.parameters() if p.ndim > 1]
-        others = [p for p in self.net.parameters() if p.ndim <= 1]
-        groups = [
-            {"params": matrices, "weight_decay": settings.decay},
-            {"params": others, "weight_decay": 0.0},
-        ]
-        self.optimiser = torch.optim.AdamW(groups, lr=settings.rate, betas=(0.9, 0.99))
+        self.optimiser = torch.optim.AdamW(
+            groups(self.net, settings.decay), lr=settings.rate, betas=(0.9, 0.99)
+        )
         parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
         real = [file for folder in folders(settings) for file in folder.files]
         pictures = made_with(settings.moments, settings.span) | {
@@ -73,17 +69,6 @@ class Run(checkpoint.Progress):
         else:
             checkpoint.take(init, {"mean": self.mean})
         self.net.load_state_dict(self.mean.state_dict())
-
-    @torch.no_grad()
-    def follow(self) -> None:
-        """Move the mean weights towards the newest, faster while young."""
-        keep = min(0.9993, (1 + self.step) / (10 + self.step))
-        new = self.net.state_dict()
-        for name, old in self.mean.state_dict().items():
-            if old.dtype.is_floating_point:
-                old.lerp_(new[name], 1 - keep)
-            else:
-                old.copy_(new[name])
 
 
 def drawn(settings: TrainSettings) -> list[Path]:
@@ -180,7 +165,7 @@ def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
     torch.nn.utils.clip_grad_norm_(run.net.parameters(), 10.0)
     run.optimiser.step()
     run.step += 1
-    run.follow()
+    follow(run.mean, run.net, run.step)
     return {name: part.detach() for name, part in parts.items()}
 
 

@@ -14,6 +14,17 @@ def jpeg(frame: Frame, quality: int) -> bytes:
     return encoded(_colours(frame), quality)
 
 
+def jpeg_within(frame: Frame, quality: int, most_px: int) -> tuple[bytes, tuple[int, int]]:
+    """A frame as JPEG at most `most_px` wide, averaged if it is wider, and its size in pixels."""
+    pixels = _colours(frame)
+    height, width = pixels.shape[:2]
+    shrink = -(-width // most_px)
+    size_px = max(1, width // shrink), max(1, height // shrink)
+    if shrink > 1:
+        pixels = np.asarray(cv2.resize(pixels, size_px, interpolation=cv2.INTER_AREA), np.uint8)
+    return encoded(pixels, quality), size_px
+
+
 def encoded(pixels: NDArray[np.uint8], quality: int) -> bytes:
     """Return BGR (h, w, 3) or grey (h, w) pixels as JPEG."""
     _, contents = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])

@@ -1,6 +1,6 @@
 """Rerun: a recording in a file, a viewer or a browser, what is drawn there, and its layout.
 
-The only module that imports Rerun. The entity paths are listed in the README of operators.
+With `layout` and `beside` the only importer of Rerun. The entity paths are listed in the README.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,16 +12,14 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from operators.visualise.held import Held
+from operators.visualise.layout import layout
 from operators.visualise.server import Audience, await_listener, serve
 from pipeline.errors import RunError
 from pipeline.growing_file import CLOSE_S, GrowingFile, never_collect
 
-SHOWN_FRAMES = 600  # of plots: the last ones
-RASTER_PX = (-90, 260), (-16, 124)  # left to right, top to bottom; the names stand left of 0
 THIN, BOLD, RIM = (rr.Radius.ui_points(points) for points in (0.75, 1.5, 2.0))
 Drawn = tuple[tuple[int, int], str | list[object], Any]  # frame and ns, entity, what is logged
 LINES = {  # entity -> name and colour of its line
@@ -69,7 +67,7 @@ class Screen:
         self._held: Held[Drawn] = Held()
         self._now = (0, 0)  # frame, ns since the start of the stream
         self._newest: int | None = None  # frame that was sent
-        self._shape: tuple[int, int, int] | None = None
+        self._shape: tuple[int, int, int, bool] | None = None
         for path, (name, colour) in LINES.items():
             self._recording.log(path, rr.SeriesLines(names=name, colors=colour), static=True)
         legend = rr.TextDocument(LEGEND, media_type=rr.MediaType.MARKDOWN)
@@ -197,11 +195,14 @@ class Screen:
         """Add a line to the log, at once."""
         self._send(iter([(self._now[0], [(self._now, "log", rr.TextLog(text, level=level))])]))
 
-    def lay_out(self, windows: int, size_px: tuple[int, int]) -> None:
-        """Lay the panels out for a sensor of this size that reads so many windows."""
-        if self._shape != (windows, *size_px):
-            self._shape = (windows, *size_px)
-            self._recording.send_blueprint(layout(windows, size_px))
+    def lay_out(self, windows: int, size_px: tuple[int, int], *, full: bool) -> None:
+        """Lay the panels out for a sensor of this size that reads so many windows.
+
+        `full`: the whole field is known at full resolution, too.
+        """
+        if self._shape != (windows, *size_px, full):
+            self._shape = (windows, *size_px, full)
+            self._recording.send_blueprint(layout(windows, size_px, full=full))
 
     def _log(self, path: str | list[object], what: Any) -> None:
         self._held.add(self._now[0], (self._now, path, what))
@@ -244,66 +245,3 @@ def flushed(recording: rr.RecordingStream, timeout_s: float) -> bool:
     except RuntimeError:
         return False
     return True
-
-
-def layout(windows: int, size_px: tuple[int, int]) -> rrb.Blueprint:
-    """The field, the ROI beside its window in the context; below, the policy, figures, the log."""
-    bounds = rrb.VisualBounds2D(x_range=(0, size_px[0]), y_range=(0, size_px[1]))
-    field = rrb.Spatial2DView(
-        origin="sensor", name="whole field, the ROI in place",
-        visual_bounds=bounds if all(size_px) else None,
-    )  # fmt: skip
-    names = ["roi", *(f"roi_{k}" for k in range(2, windows + 1))]
-    pairs = [_pair(name) for name in names]
-    gain = pairs[0] if windows == 1 else rrb.Tabs(*pairs)
-    raster = rrb.Spatial2DView(
-        origin="scanpath",
-        name="policy: objects by frames",
-        visual_bounds=rrb.VisualBounds2D(x_range=RASTER_PX[0], y_range=RASTER_PX[1]),
-    )
-    above = rrb.Horizontal(field, gain, column_shares=[5, 3])
-    log = rrb.TextLogView(origin="log", name="what happened")
-    legend = rrb.TextDocumentView(origin="legend", name="what is drawn")
-    below = rrb.Horizontal(
-        raster,
-        rrb.Tabs(
-            _plot("loop latency, ms", "latency/loop"),
-            _plot("by stage", "latency/stages"),
-            _plot("details", "latency/each"),
-        ),
-        rrb.Tabs(
-            _plot("target", "figures/target", (0.0, 1.05)),
-            _plot("pixels", "figures/pixels"),
-            _plot("drops", "drops"),
-            _plot("action", "action"),
-        ),
-        rrb.Tabs(legend, log),
-        column_shares=[3, 3, 3, 3],
-    )
-    return rrb.Blueprint(
-        rrb.Vertical(above, below, row_shares=[5, 2]),
-        rrb.TimePanel(state="collapsed", timeline="frame", play_state="following"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="collapsed"),
-        auto_views=False,
-        auto_layout=False,
-    )
-
-
-def _pair(name: str) -> rrb.Vertical:
-    title = name.replace("roi", "ROI").replace("_", " ")
-    return rrb.Vertical(
-        rrb.Spatial2DView(origin=f"sensor/{name}", contents="$origin", name=f"{title}, as read"),
-        rrb.Spatial2DView(origin=f"window/{name}", name="the same window in the context"),
-        name=title,
-    )
-
-
-def _plot(name: str, origin: str, ends: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
-    last = rrb.VisibleTimeRange(
-        "frame",
-        start=rrb.TimeRangeBoundary.cursor_relative(seq=-SHOWN_FRAMES),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
-    axis = rrb.ScalarAxis(range=ends, zoom_lock=True) if ends else None
-    return rrb.TimeSeriesView(origin=origin, name=name, axis_y=axis, time_ranges=last)

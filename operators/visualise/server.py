@@ -33,10 +33,7 @@ def serve(port: int, web_port: int, *files: Path) -> Popen[bytes]:
     The SDK's own `serve_grpc` listens on every interface of the machine; its command does not.
     Raises `RunError` when Rerun's program is missing, or a port is taken.
     """
-    found = find_spec("rerun_cli")
-    binary = Path(found.origin).with_name("rerun") if found and found.origin else Path("rerun")
-    if not binary.is_file():
-        raise RunError(f"visualise.serve: expected Rerun's program at {binary}, got none")
+    binary = program()
     for wanted in (port, web_port):
         check_free(wanted)
     ports = ["--port", str(port), "--web-viewer-port", str(web_port)]
@@ -47,6 +44,15 @@ def serve(port: int, web_port: int, *files: Path) -> Popen[bytes]:
         stdout=DEVNULL,
         stderr=DEVNULL,
     )
+
+
+def program() -> Path:
+    """Return Rerun's program; raises `RunError` when it is missing."""
+    found = find_spec("rerun_cli")
+    binary = Path(found.origin).with_name("rerun") if found and found.origin else Path("rerun")
+    if not binary.is_file():
+        raise RunError(f"visualise.serve: expected Rerun's program at {binary}, got none")
+    return binary
 
 
 def check_free(port: int) -> None:

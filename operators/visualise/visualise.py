@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from operators.visualise import field
 from operators.visualise.events import Events
 from operators.visualise.figures import LoopLatency, PixelsRead, Target, latencies, stages
-from operators.visualise.pictures import encoded, jpeg, same_window
+from operators.visualise.pictures import encoded, jpeg, jpeg_within, same_window
 from operators.visualise.raster import PAST_FRAMES, ScanpathRaster
 from operators.visualise.screen import BOLD, RIM, Screen
 from pipeline.boxes import centres
@@ -37,6 +37,7 @@ TRAIL_FRAMES = 30
 CELL = (4, 15)  # of the raster, width and height
 MOST_NAMES = 500  # of objects seen, for the raster
 MOST_WINDOW_PX = 640  # width of what the context shows of an ROI
+MOST_FULL_PX = 4096  # width of a full picture; larger ones are averaged
 MOST_NOTES = 50  # of one call of `note`
 MOST_CHARS = 200  # of a note
 
@@ -79,6 +80,7 @@ class Visualise(Operator[VisualiseSettings, None]):
     roi_2 = Input(Frame, join=False, optional=True, tap=True)
     roi_3 = Input(Frame, join=False, optional=True, tap=True)
     roi_4 = Input(Frame, join=False, optional=True, tap=True)
+    full = Input(Frame, join=False, optional=True, tap=True)
     detections = Input(Detections, join=False, optional=True, tap=True)
     tracks = Input(Tracks, join=False, optional=True, tap=True)
     scanpath = Input(Scanpath, join=False, optional=True, tap=True)
@@ -95,7 +97,7 @@ class Visualise(Operator[VisualiseSettings, None]):
             # not in the settings themselves: a graph may hold a viewer that is not started
             raise SettingsError("visualise.save: expected save, connect or serve, got none")
         self._begin()
-        self._windows = {"roi"}
+        self._windows, self._has_full = {"roi"}, False
         self._screen = Screen(s.save, s.connect, (s.port, s.web_port) if s.serve else None)
 
     def state(self) -> None:
@@ -153,6 +155,13 @@ class Visualise(Operator[VisualiseSettings, None]):
     def on_roi_4(self, roi_4: Frame) -> None:
         """The fourth window."""
         self._window("roi_4", roi_4)
+
+    def on_full(self, full: Frame) -> None:
+        """The whole field at full resolution, beside context and ROI."""
+        if self._wanted(full, "full"):
+            self._has_full = True
+            contents, size_px = jpeg_within(full, self.settings.jpeg_quality, MOST_FULL_PX)
+            self._out.picture("full", contents, full.window, size_px, 0)
 
     def on_detections(self, detections: Detections) -> None:
         """Boxes with class and score, as details."""
@@ -280,7 +289,8 @@ class Visualise(Operator[VisualiseSettings, None]):
             return
         self._windows.add(name)
         geometry = frame.header.geometry
-        self._out.lay_out(len(self._windows), (geometry.width_px, geometry.height_px))
+        size_px = (geometry.width_px, geometry.height_px)
+        self._out.lay_out(len(self._windows), size_px, full=self._has_full)
         self._picture(f"sensor/{name}", frame, 10)
         rim = np.array([frame.window] if frame.pixels.size else [], np.float32)
         self._out.boxes(f"sensor/{name}_rim", rim, field.YELLOW, [frame.status], radius=RIM)

@@ -228,8 +228,11 @@ class Inbox:
         return True
 
     def _offer_side(self, name: str, arrival: Arrival) -> None:
-        if self.inputs[name].keep == "latest" and not self._lockstep:
-            for older in [entry for entry in self._side if entry[0] == name]:
+        given = self.inputs[name]
+        if not self._lockstep and (given.tap or given.keep == "latest"):
+            room = given.depth if given.keep == "every" else 1
+            waiting = [entry for entry in self._side if entry[0] == name]
+            for older in waiting[: max(0, len(waiting) + 1 - room)]:
                 self._side.remove(older)
                 self._acknowledge(name, "superseded", older[1].ordinal)
         self._side.append((name, arrival))

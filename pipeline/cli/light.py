@@ -1,5 +1,6 @@
 """Run a graph several times on the same recorded light, and compare the runs in a table."""
 
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -7,13 +8,17 @@ from typing import Any
 from rich.table import Table
 
 from pipeline.cli.overlaid import load_overlaid
-from pipeline.graph.plan import sources
+from pipeline.errors import RunError
+from pipeline.graph.plan import Plan, sources
 from pipeline.graph.shipped import source_path
+from pipeline.import_path import imported
 from pipeline.run.inline import InlineRunner
 from pipeline.run.replay import sentences
 from pipeline.run.report import Report
 from pipeline.terminal import lean_table
 
+WRITE_BESIDE = "operators.visualise.beside:write_beside"  # by its path: no import of an operator
+CHECK_COLUMNS = "operators.visualise.beside:columns"
 SOURCE = "recording"  # the shipped source that plays a recording's frames
 MOST_FIGURES = 12
 OTHER = {  # of a report: of this host and of the runtime, not of the light
@@ -23,19 +28,37 @@ OTHER = {  # of a report: of this host and of the runtime, not of the light
 
 def compared(
     file: Path, graph: Path, tries: Sequence[str], frames: int, asked: Callable[[], int],
-    laid: Mapping[str, Any],
+    laid: Mapping[str, Any], save: Path | None = None,
 ) -> dict[str, Report]:  # fmt: skip
     """Run the graph on a recording's frames, once for each try; return the reports.
+
+    `save`: also write them side by side as a Rerun recording.
 
     A try is `NODE.SETTING=VALUE …`, laid over the other changes; an empty one is the graph as it
     is. Every graph is checked before the first one runs.
     """
-    plans = {}
-    name = next(sources(load_overlaid(graph, **laid))).name
-    for one in tries or ("",):
-        changes = (*laid["changes"], f"{name}.path={file.absolute()}", *one.split())
-        over = {"source": source_path(SOURCE), "changes": changes, "clock": "lockstep"}
-        plans[one or "as it is"] = load_overlaid(graph, **{**laid, **over})
+    with tempfile.TemporaryDirectory() as folder:
+        parts: dict[str, Path] = {}  # recordings
+        plans = {}
+        name = next(sources(load_overlaid(graph, **laid))).name
+        for one in dict.fromkeys(tries) or ("",):
+            changes = (*laid["changes"], f"{name}.path={file.absolute()}", *one.split())
+            over = {"source": source_path(SOURCE), "changes": changes, "clock": "lockstep"}
+            label = one or "as it is"
+            if save:
+                over["save"] = parts[label] = Path(folder) / f"{len(parts)}.rrd"
+            plans[label] = load_overlaid(graph, **{**laid, **over})
+        if save:  # too many are refused before anything runs
+            imported(CHECK_COLUMNS, RunError)(tuple(plans))
+        found = _run(plans, frames, asked)
+        if save:
+            imported(WRITE_BESIDE, RunError)({label: parts[label] for label in found}, save)
+    return found
+
+
+def _run(
+    plans: Mapping[str, Plan], frames: int, asked: Callable[[], int]
+) -> dict[str, Report]:  # fmt: skip
     found = {}
     for label, plan in plans.items():
         runner = InlineRunner(plan)

@@ -84,7 +84,11 @@ def record_command(
 @click.option("--light", is_flag=True, help="Its full frames are what the sensor of GRAPH sees.")
 @click.option("--try", "tries", multiple=True, metavar="'NODE.SETTING=VALUE …'",
               help="With --light: run with these changes; several are compared.")  # fmt: skip
-@click.option("--save", type=click.Path(path_type=Path), help="Write a Rerun recording.")
+@click.option(
+    "--save",
+    type=click.Path(path_type=Path),
+    help="Write a Rerun recording; with --light the tries side by side.",
+)
 @click.option("--report", type=click.Path(path_type=Path), help="Write the report as JSON.")
 @overlaid
 def replay_command(
@@ -97,9 +101,11 @@ def replay_command(
     Without GRAPH, the one that the recording holds: its code runs here, as with `fovea run`.
     """
     if light:
-        if nodes or verify or save or report or laid["source"] or graph is None:
-            raise click.UsageError("--light: expected FILE GRAPH, --try, --set, --with, --frames")
-        _on_its_light(file, graph, tries, frames or 0, laid)
+        if nodes or verify or report or laid["source"] or graph is None:
+            raise click.UsageError(
+                "--light: expected FILE GRAPH, --try, --set, --with, --frames, --save"
+            )
+        _on_its_light(file, graph, tries, frames or 0, laid, save)
         return
     if tries:
         raise click.UsageError("--try: goes with --light")
@@ -128,10 +134,13 @@ def replay_command(
 
 
 def _on_its_light(
-    file: Path, graph: Path, tries: tuple[str, ...], frames: int, laid: dict[str, Any]
-) -> None:
+    file: Path, graph: Path, tries: tuple[str, ...], frames: int, laid: dict[str, Any],
+    save: Path | None,
+) -> None:  # fmt: skip
+    if save:
+        try_recording(save, "--save")
     with signals.Interruption(last=True) as asked:
-        reports = compared(file, graph, tries, frames, asked.asked, laid)
+        reports = compared(file, graph, tries, frames, asked.asked, laid, save)
     terminal.console().print(table(reports))
     if asked.status:
         sys.exit(asked.status)

@@ -1,7 +1,7 @@
 """Record outputs of a running graph on this host: a recorder joins it as a node and leaves it.
 
-The recorder reads as every node does: what it loses is counted in the graph's accounts. An output
-with a lossless reader is read losslessly, too, so that nothing of it is missing.
+The recorder reads by taps, so that in real time no node waits for it; what it loses is counted in
+the graph's accounts. Of an output with a lossless reader, up to `DEPTH` messages may wait for it.
 """
 
 import json
@@ -26,16 +26,17 @@ from pipeline.settings import suggest
 
 OPERATOR = "operators.record:Record"
 NODE = "record"
-DEPTH = 30  # frames: a lossless writer waits for a recorder that is so many behind
+DEPTH = 30  # messages of a lossless output that may wait for the recorder
 LOOK_S = 0.2
 ASK_LOOKS = 25  # so many looks between two questions to the recorder
 
 
 class Chosen(msgspec.Struct):
-    """What a recorder reads: its inputs, and which of them lose nothing."""
+    """What a recorder reads: its inputs, and of which of them every message."""
 
     inputs: dict[str, str]  # input -> node.output
-    lossless: tuple[str, ...]
+    every: tuple[str, ...]
+    lossless: bool  # in lockstep, where the graph waits for the recorder
 
 
 def plan_of(client: LocalGraph) -> Plan:
@@ -54,7 +55,7 @@ def chosen(client: LocalGraph, wanted: Sequence[str]) -> Chosen:
     every = {f"{e.source}.{e.output}" for e in plan.edges if e.keep == "every" and not e.tap}
     outputs = dict.fromkeys(_full(name) for name in wanted) or dict.fromkeys(sorted(read))
     free = _inputs()
-    found = Chosen({}, ())
+    found = Chosen({}, (), plan.clock == "lockstep")
     for output in outputs:
         sent = _sent(client, output)
         if not free.get(sent):
@@ -65,8 +66,8 @@ def chosen(client: LocalGraph, wanted: Sequence[str]) -> Chosen:
             )
         name = free[sent].pop(0)
         found.inputs[name] = output
-        if output in every or plan.clock == "lockstep":
-            found.lossless = (*found.lossless, name)
+        if output in every or found.lossless:
+            found.every = (*found.every, name)
     return found
 
 
@@ -74,12 +75,12 @@ def begin(client: LocalGraph, path: Path, what: Chosen, settings: dict[str, Any]
     """Add the recorder to the graph; raises `FoveaError` when the graph refuses it."""
     inputs = {
         name: {"from": output.removesuffix(".out"), "depth": DEPTH}
-        | ({"keep": "every"} if name in what.lossless else {})
+        | ({"keep": "every"} if name in what.every else {})
         for name, output in what.inputs.items()
     }
     values = {
         **settings, "path": str(path.absolute()), "outputs": what.inputs, "graph": client.name,
-        "lossless": list(what.lossless),
+        "lossless": list(what.every) if what.lossless else [],
     }  # fmt: skip
     node = {"operator": OPERATOR, "inputs": inputs, "settings": values}
     with tempfile.TemporaryDirectory() as folder:

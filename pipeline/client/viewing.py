@@ -27,6 +27,7 @@ from pipeline.protocol.fleet import NodeState, Process
 VIEWER = "operators.visualise:Visualise"  # by its path: no import of an operator here
 NAME = re.compile(r"viewer_(\d+)")  # of its node, with the process that attached it
 FRAMES = ("context", "roi", "roi_2", "roi_3", "roi_4")
+BY_NAME = ("context", "roi", "full")  # outputs shown whether or not a node reads them
 MESSAGES = {  # the viewer's other inputs, by the type of the message
     "Detections": "detections", "Tracks": "tracks", "Scanpath": "scanpath",
     "RoiSchedule": "schedule", "Percept": "percept", "Truth": "truth",
@@ -86,7 +87,7 @@ def wiring(plan: Plan, ports_of: Callable[[str], PortTypes]) -> dict[str, str]:
     for node in plan.order():
         for output, sent in ports_of(node).outputs.items():
             origin = node if output == "out" else f"{node}.{output}"
-            if output in FRAMES[:2] and sent.message == "Frame":
+            if output in BY_NAME and sent.message == "Frame":
                 found.setdefault(output, origin)
             elif sent.message in MESSAGES:
                 found[MESSAGES[sent.message]] = origin

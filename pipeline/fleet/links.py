@@ -138,4 +138,4 @@ def networks(
 def _promises(plan: Plan, node: Node) -> bool:
     """Whether the node's process has a lossless edge to another host."""
     mine = {n.name for n in plan.nodes if n.process == node.process and plan.is_here(n)}
-    return any(e.source in mine and e.keep == "every" and plan.crosses(e) for e in plan.edges)
+    return any(e.source in mine and plan.lossless(e) and plan.crosses(e) for e in plan.edges)

@@ -170,9 +170,17 @@ class Plan:
                 found.setdefault(node.process, []).append(node)
         return {name: tuple(nodes) for name, nodes in found.items()}
 
+    def lossless(self, edge: Edge) -> bool:
+        """Return whether the reader of an edge gets every message, as its writer waits for it.
+
+        In real time nothing waits for a tap; one that keeps every message loses the oldest when
+        more than `depth` of them wait.
+        """
+        return edge.keep == "every" and (self.clock == "lockstep" or not edge.tap)
+
     def _waits(self, edge: Edge) -> bool:
-        """Return whether the writer of an edge waits for its reader."""
-        return self.clock == "realtime" and edge.keep == "every"
+        """Return whether the writer of an edge may have to wait for its reader."""
+        return self.clock == "realtime" and self.lossless(edge)
 
     def order(self) -> tuple[str, ...]:
         """Return node names, writers before readers.

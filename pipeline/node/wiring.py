@@ -122,7 +122,7 @@ class Wiring:
     def _readers(self, edges: tuple[Edge, ...]) -> list[Reader]:
         return [
             Reader(
-                self._ledger.edges[e.index], e.keep == "every", e.depth + 1, e.index,
+                self._ledger.edges[e.index], self._job.plan.lossless(e), e.depth + 1, e.index,
                 partial(self._job.receiver, e.target) if e.transport == "pool" else None,
             )
             for e in edges
@@ -134,7 +134,7 @@ class Wiring:
         readers = self._readers(edges)
         key = key_of(job.plan.name, node.name, output)
         urgent = any(e.command for e in edges)
-        patient = any(e.transport == "bytes" and e.keep == "every" for e in edges)
+        patient = any(e.transport == "bytes" and job.plan.lossless(e) for e in edges)
         stem = f"{node.name}.{output}"
         sender = LocalSender()
         self._senders.append(sender)

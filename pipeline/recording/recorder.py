@@ -15,9 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.errors import MessageError, RunError
-from pipeline.messages import Message
+from pipeline.messages import Frame, Message
+from pipeline.recording import foxglove
+from pipeline.recording.annotations import annotations
 from pipeline.recording.mcap_file import Item, McapWriter
-from pipeline.recording.records import fact, items_of
+from pipeline.recording.records import IMAGE, fact, items_of, topic_of
 from pipeline.text import said_by
 
 MOST_PARTS = 100_000
@@ -79,6 +81,7 @@ class Recorder:
         self._waiting: deque[_Queued | str] = deque()  # a text: why the ring is to be written
         self._facts: deque[Item] = deque(maxlen=10_000)
         self._kept: dict[str, Item] = {}  # the newest of each fact, for the next file
+        self._picture = ("", (0, 0))  # the output that boxes are drawn on, and its size
         self._ring: deque[list[Item]] = deque()
         self._ring_bytes = self._bytes = 0
         self._room, self._ended = threading.Condition(), False
@@ -103,10 +106,13 @@ class Recorder:
             self._waiting.append(_Queued(output, message, time.time_ns(), nbytes))
             self._room.notify_all()
 
-    def note(self, name: str, value: Any) -> None:
-        """Record a fact about the graph; the newest of each name begins every file."""
+    def note(self, name: str, value: Any, at_ns: int = 0) -> None:
+        """Record a fact about the graph, of now or `at_ns` (wall clock).
+
+        The newest of each name begins every file.
+        """
         with self._room:
-            self._facts.append(fact(name, value, time.time_ns()))
+            self._facts.append(fact(name, value, at_ns or time.time_ns()))
             self._room.notify_all()
 
     def dump(self, why: str) -> None:
@@ -185,8 +191,25 @@ class Recorder:
         except MessageError:
             account.refused += 1
             return []
+        self._find_picture(queued)
+        on_it = annotations(queued.message, self._picture[1])
+        if on_it is not None:
+            topic = foxglove.topic(f"{topic_of(queued.output)}/boxes", foxglove.ANNOTATIONS)
+            items.append(Item(topic, queued.at_ns, header.seq, on_it))
         account.count(header.stream, header.seq)
         return items
+
+    def _find_picture(self, queued: "_Queued") -> None:
+        """Take the first output that shows the whole field as the one that boxes are drawn on."""
+        message, (output, _) = queued.message, self._picture
+        if isinstance(message, Frame) and output in ("", queued.output):
+            geometry = message.header.geometry
+            whole = (0, 0, geometry.width_px, geometry.height_px)
+            if any(whole) and message.window == whole:
+                self._picture = queued.output, message.size_px
+                if not output:
+                    shown = {"picture": f"{topic_of(queued.output)}{IMAGE}"}
+                    self._facts.append(fact("boxes", shown, queued.at_ns))
 
     def _write(self, items: list[Item]) -> None:
         assert self._writer is not None

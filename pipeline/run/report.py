@@ -53,8 +53,8 @@ def compose(
         "clock": plan.clock,
         "duration_s": round(duration_s, 3),
         "edges": [
-            {"from": e.origin, "to": e.end, "keep": e.keep, **ledger.edges[e.index].report(),
-             "age_ms": ledger.edges[e.index].age.summary()}
+            {"from": e.origin, "to": e.end, "keep": e.keep, **({"tap": True} if e.tap else {}),
+             **ledger.edges[e.index].report(), "age_ms": ledger.edges[e.index].age.summary()}
             for e in plan.edges
         ],
         "stages": [

@@ -129,10 +129,14 @@ def _losses(report: Mapping[str, Any]) -> Finding:
     reasons = ", ".join([*edge["dropped"], *(["in a crash"] if edge["lost_in_crash"] else [])])
     where = f" on {len(lost)} edges, most on" if len(lost) > 1 else " on"
     count = f" ({most}, {reasons})" if len(lost) > 1 else f" ({reasons})"
-    promised = sum(count for count, e in lost.values() if e["keep"] == "every")
+    # of a viewer or recorder nothing was promised: no writer waits for it
+    every = [(count, e) for count, e in lost.values() if e["keep"] == "every"]
+    promised = sum(count for count, e in every if not e.get("tap"))
     judged = (
         f"{promised} of them on edges that keep every message"
         if promised
+        else "none on edges that a writer waits for"
+        if every
         else "all on edges that keep only the newest"
     )
     said = f"{total} of {offered} messages{where} {place}{count}; {judged}{restarts}"

@@ -140,6 +140,19 @@ def test_full_emits_everything_and_no_roi() -> None:
     assert subject.summary()["pixels"] == {"budget": 1.0, "used": 1.0}
 
 
+def test_the_whole_picture_is_sent_beside_the_budget_where_it_is_asked_for() -> None:
+    subject = started(sensor(full=True))
+
+    exposure = read(subject)
+
+    assert exposure is not None
+    assert exposure.full is not None
+    left, top, right, bottom = exposure.roi.window
+    assert np.array_equal(exposure.full.pixels[top:bottom, left:right], exposure.roi.pixels)
+    assert subject.summary()["pixels"]["used"] <= 0.126
+    subject.close()
+
+
 def test_temporal_leaves_frames_out_and_counts_them() -> None:
     subject = sensor(strategy="temporal", frames=24)
     exposures = play(subject)

@@ -36,7 +36,8 @@ def produced(subject: Capture) -> tuple[Frame, Frame]:
 def test_it_has_two_streams_and_the_truth_and_takes_sensor_commands() -> None:
     further = dict.fromkeys(("roi_2", "roi_3", "roi_4"), Frame)
 
-    assert outputs_of(Capture) == {"context": Frame, "roi": Frame, **further, "truth": Truth}
+    pictures = {"context": Frame, "roi": Frame, **further, "full": Frame}
+    assert outputs_of(Capture) == {**pictures, "truth": Truth}
     assert inputs_of(Capture)["schedule"].command
 
 

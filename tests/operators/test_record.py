@@ -1,6 +1,9 @@
 """The recorder joins a running graph, loses nothing on its lossless edges, and leaves it whole."""
 
 import json
+import os
+import signal
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +21,19 @@ from pipeline.recording.reader import Recording
 from pipeline.run.supervisor import Supervisor
 from pipeline.testing import drive
 from tests.pipeline.recording.test_recorder import frame, percept
-from tests.sample_graphs import CHAIN, assert_accounts_add_up, beside, go, plan_of
+from tests.sample_graphs import (
+    CHAIN,
+    assert_accounts_add_up,
+    beside,
+    edge,
+    go,
+    handled,
+    plan_of,
+    send_signal,
+    together,
+    until,
+    wait_for_progress,
+)
 
 
 def record(graph: str, path: Path, outputs: tuple[str, ...] = ()) -> recording.Outcome:
@@ -47,6 +62,77 @@ def test_a_running_graph_is_recorded_without_a_gap_on_a_lossless_edge(tmp_path: 
     assert [edge.origin for edge in ended[0].accounts] == ["ticker.roi"]
     assert (ended[0].files, ended[0].failure) == ([str(path)], "")
     assert_accounts_add_up(report)
+
+
+RECORDED = """\
+  record:
+    operator: tests.slow_disk:SlowRecord
+    inputs: {frame_1: {from: ticker.roi, keep: every, depth: 4}}
+    settings: {path: "PATH", queue_mb: 0.2}
+"""
+
+
+def test_a_disk_that_is_too_slow_holds_nothing_up_and_what_is_dropped_is_counted(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.mcap"
+    text = together(CHAIN, "ticker", "count", "glance") + RECORDED.replace("PATH", str(path))
+
+    report = go(plan_of(tmp_path, text, changes=("ticker.rate_hz=40",)), 60)
+
+    assert_accounts_add_up(report)
+    assert edge(report, "count.frame")["delivered"] == 60
+    end = Recording(path).newest("end")["accounts"]["frame_1"]
+    assert 0 < end["recorded"] < 60
+    assert end["dropped"] > 0
+    assert end["recorded"] + end["dropped"] == edge(report, "record.frame_1")["delivered"]
+
+
+def test_a_recorder_that_stands_still_holds_no_writer_up(tmp_path: Path) -> None:
+    text = together(CHAIN, "ticker", "count", "glance")
+    text += RECORDED.replace("PATH", str(tmp_path / "a.mcap"))
+    plan = plan_of(tmp_path, text, changes=("ticker.rate_hz=100",))
+
+    def freeze(supervisor: Supervisor) -> None:
+        wait_for_progress(supervisor, "record", 1)
+        pid = send_signal(supervisor, "record", signal.SIGSTOP)
+        before = handled(supervisor, "count")
+        # ten times what may wait for it; no look at the processes, which would replace it
+        until(lambda: handled(supervisor, "count") > before + 40)
+        os.kill(pid, signal.SIGCONT)
+        supervisor.finish()
+
+    report = go(plan, 0, freeze)
+
+    assert_accounts_add_up(report)
+    assert sum(edge(report, "record.frame_1")["dropped"].values()) > 0
+
+
+def test_a_setting_that_is_changed_is_recorded_with_the_time_of_the_change(tmp_path: Path) -> None:
+    plan, path = (
+        plan_of(tmp_path, together(CHAIN, "ticker", "count", "glance")),
+        tmp_path / "a.mcap",
+    )
+
+    def change() -> int:
+        client = find(plan.name)
+        assert isinstance(client, LocalGraph)
+        recording.begin(client, path, recording.chosen(client, ()), {})
+        began_ns = time.time_ns()
+        client.configure("ticker", {"rate_hz": 25.0})
+        recording.follow(client, 0.5, lambda: 0, lambda _accounts: None)
+        return began_ns
+
+    def look(supervisor: Supervisor) -> None:
+        times.append(beside(supervisor, change))
+        supervisor.finish()
+
+    times: list[int] = []
+    go(plan, 0, look)
+
+    (event,) = [e for e in Recording(path).facts["events"] if e["event"] == "set"]
+    assert (event["node"], event["settings"]) == ("ticker", {"rate_hz": 25.0})
+    assert 0 <= event["at_ns"] - times[0] < 5e9
 
 
 def test_an_output_that_does_not_exist_is_named(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """Draw people: look and pose -> a premultiplied RGBA sprite, limb by limb, the farthest first."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, sin
 
 import cv2
@@ -21,6 +21,16 @@ OVERSAMPLE = 2
 TILT = 0.2  # metres by which a point appears lower in the picture per metre that it is nearer
 FOLDS = np.random.default_rng(7).normal(0, 0.09, (24, 24)).astype(np.float32)  # of the cloth
 FONT = cv2.FONT_HERSHEY_SIMPLEX
+NAME_SHARE = 0.28  # height of a name, of that of the number below it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Print:
+    """A text on the back of a shirt, and its box in pixels of the sprite."""
+
+    text: str
+    box: tuple[float, float, float, float]
+    seen: float = 1.0  # share of its ink that the person's own arms and head leave
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,6 +39,7 @@ class Sprite:
 
     image: Image  # premultiplied RGBA
     feet: tuple[float, float]  # where the ground point is, its pixels
+    prints: tuple[Print, ...] = ()  # on the back, where the back is seen
 
 
 def draw(
@@ -54,6 +65,7 @@ def draw(
     return Sprite(
         image=np.ascontiguousarray(whole[y0:y1, x0:x1]),
         feet=(WIDE_M / 2 * px_per_m - x0, (TALL_M - FEET_M) * px_per_m - y0),
+        prints=tuple(_shrunk(*each, drawing.image, x0, y0) for each in drawing.prints),
     )
 
 
@@ -66,6 +78,7 @@ class Drawing:
         self.image = np.zeros(size, np.uint8)
         self.tint = [float(t) for t in tint]
         self.toward = 0.0  # 1: the chest is seen, -1: the back
+        self.prints: list[tuple[Print, Image]] = []  # on the back, and the drawing below each
 
     def seen(self, points: NDArray[np.float64]) -> list[tuple[float, float, float]]:
         """Project points (n, 3) right, nearer, up in metres: x, y in pixels, and nearer."""
@@ -193,17 +206,39 @@ def _decorate(drawing: Drawing, look: Look, hull: NDArray[np.int32]) -> None:
         cv2.line(drawing.image, (x0, y0), (x1, y1), paint, step)
     elif look.pattern == "halves" and abs(drawing.toward) > 0.5:
         cv2.rectangle(drawing.image, (middle, y0), (x1, y1), paint, -1)
-    if look.number and abs(drawing.toward) > 0.6:
-        _print_number(drawing, look, middle, round(y0 + 0.45 * (y1 - y0)))
+    if abs(drawing.toward) > 0.6:
+        tall = y1 - y0
+        if look.number:
+            big, low = (1.0 if drawing.toward < 0 else 0.5), 0.54 if look.name else 0.45
+            _print(drawing, look, look.number, (middle, round(y0 + low * tall)), big)
+        if look.name and drawing.toward < 0:
+            _print(drawing, look, look.name, (middle, round(y0 + 0.08 * tall)), NAME_SHARE)
 
 
-def _print_number(drawing: Drawing, look: Look, x: int, y: int) -> None:
-    """Draw the shirt number: large on the back, small on the chest."""
-    big = 1.0 if drawing.toward < 0 else 0.5
+def _print(drawing: Drawing, look: Look, text: str, at: tuple[int, int], big: float) -> None:
+    """Draw a text in the middle of `at`; `big` is its height's share of a number on the back."""
     size, thick = big * 0.0115 * drawing.scale, max(1, round(big * 0.042 * drawing.scale))
-    (w, h), _ = cv2.getTextSize(look.number, FONT, size, thick)
-    ink = drawing.rgba(look.ink, 0.1)
-    cv2.putText(drawing.image, look.number, (x - w // 2, y + h // 2), FONT, size, ink, thick)
+    (w, h), _ = cv2.getTextSize(text, FONT, size, thick)
+    left, low = at[0] - w // 2, at[1] + h // 2
+    cv2.putText(drawing.image, text, (left, low), FONT, size, drawing.rgba(look.ink, 0.1), thick)
+    if drawing.toward < 0:
+        box = (left, low - h, left + w, low)
+        drawing.prints.append((Print(text=text, box=box), _within(drawing.image, box).copy()))
+
+
+def _within(image: Image, box: tuple[float, float, float, float]) -> Image:
+    x0, y0, x1, y1 = (max(0, int(side)) for side in box)
+    return image[y0:y1, x0:x1]
+
+
+def _shrunk(print_: Print, drawn: Image, whole: Image, left: int, top: int) -> Print:
+    """Return a print in pixels of the sprite, which begins at `left`, `top`.
+
+    `drawn` is what its box showed when it was drawn, `whole` the finished drawing.
+    """
+    x0, y0, x1, y1 = (side / OVERSAMPLE for side in print_.box)
+    same = (drawn == _within(whole, print_.box)).all(-1)
+    return replace(print_, box=(x0 - left, y0 - top, x1 - left, y1 - top), seen=float(same.mean()))
 
 
 def _finish(image: Image, height_px: int, soft_px: float) -> Image:

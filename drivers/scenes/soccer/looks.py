@@ -29,6 +29,13 @@ BRIGHT: tuple[Colour, ...] = (  # kits of officials, distinct from the teams
 PATTERNS = ("plain", "plain", "plain", "stripes", "hoops", "sash", "halves", "sleeves")
 
 
+NAMES = (  # 22 of them are drawn for a match
+    *("ADLER", "BRUNO", "CORTES", "DUBOIS", "EKDAL", "FERRI", "GARCIA", "HUGO", "IVANOV", "JANSEN"),
+    *("KELLER", "LOPEZ", "MEYER", "NOVAK", "OLSEN", "PEREZ", "QUINN", "ROSSI", "SILVA", "TORRES"),
+    *("URBAN", "VIDAL", "WEISS", "YILDIZ", "ZANETTI", "BECK", "COSTA", "DIAZ", "FISCHER", "NAGY"),
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Look:
     """One person's appearance, colours as RGB."""
@@ -44,6 +51,7 @@ class Look:
     hair_style: int  # 0 bald, 1 short, 2 full, 3 bun
     ink: Colour  # of the number
     number: str  # empty: none
+    name: str  # above the number, empty: none
     height_m: float
     width: float  # relative
     long_sleeves: bool
@@ -86,6 +94,7 @@ def kit(rng: np.random.Generator, taken: list[Colour]) -> Look:
         hair_style=1,
         ink=legible(shirt, rng),
         number="",
+        name="",
         height_m=1.8,
         width=1.0,
         long_sleeves=False,
@@ -132,3 +141,9 @@ def everybody(seed: int) -> tuple[Look, ...]:
     looks += [person(rng, keeper, "1") for keeper in keepers]
     looks += [replace(person(rng, official, ""), boots=dark) for _ in range(3)]
     return tuple(looks)
+
+
+def named(looks: tuple[Look, ...], seed: int) -> tuple[Look, ...]:
+    """Return the looks with a name on each shirt that has a number."""
+    names = iter(np.random.default_rng([seed, 11]).permutation(NAMES).tolist())
+    return tuple(replace(look, name=next(names)) if look.number else look for look in looks)

@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, log
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.scenes.soccer.blend import extent, placed, smeared
 from drivers.scenes.soccer.camera import View
-from drivers.scenes.soccer.figures import Sprite
+from drivers.scenes.soccer.figures import Print, Sprite
 from drivers.scenes.soccer.play import LABELS, Moment
 from drivers.scenes.soccer.skeleton import Pose, pose_at
 from drivers.source import Annotations
@@ -38,6 +38,7 @@ class Actor:
     ground: tuple[float, float]  # the point of the ground below it, picture pixels
     scale: float  # pixels per metre there
     solid: int = 100  # opacity from which a pixel belongs to it
+    prints: tuple[Print, ...] = ()  # on the shirt, their boxes in the picture
 
 
 class Cache:
@@ -102,6 +103,7 @@ def actors_at(
         shrink = tall / height
         sprite = sprites(int(who), pose, height)
         patch, left, top = placed(sprite.image, shrink, sprite.feet, (float(x), float(y)))
+        origin = float(x) - sprite.feet[0] * shrink, float(y) - sprite.feet[1] * shrink
         patch, left, top = smeared(patch, left, top, (float(ways[who, 0]), float(ways[who, 1])))
         x0, y0, x1, y1 = extent(patch[..., 3])
         made.append(
@@ -115,9 +117,17 @@ def actors_at(
                 nearer=-float(reach[who]),
                 ground=(float(x), float(y)),
                 scale=float(scales[who]),
+                prints=tuple(_printed(each, shrink, origin) for each in sprite.prints),
             )
         )
     return made
+
+
+def _printed(print_: Print, shrink: float, origin: tuple[float, float]) -> Print:
+    """Return a print of a sprite as it lies in the picture."""
+    x0, y0, x1, y1 = (side * shrink for side in print_.box)
+    box = x0 + origin[0], y0 + origin[1], x1 + origin[0], y1 + origin[1]
+    return replace(print_, box=box)
 
 
 def truth_of(

@@ -11,9 +11,10 @@ from drivers.scenes.limits import check_scene
 from drivers.scenes.soccer import ball as balls
 from drivers.scenes.soccer import figures
 from drivers.scenes.soccer.ball_actor import ball_actor
-from drivers.scenes.soccer.looks import everybody
+from drivers.scenes.soccer.looks import everybody, named
 from drivers.scenes.soccer.pitch import draw_turf
 from drivers.scenes.soccer.play import Moment, moment
+from drivers.scenes.soccer.shirts import shirts_of
 from drivers.scenes.soccer.skeleton import Pose
 from drivers.scenes.soccer.stage import Actor, Cache, actors_at, truth_of
 from drivers.scenes.whole_pitch.conditions import LIGHTS, WEATHERS, draw_conditions
@@ -32,6 +33,7 @@ LAG_S = 0.8  # of a camera that turns; this one does not, and the play does not 
 USUAL_RADIUS_PX = 3900.0  # pixels per radian at 7680 wide
 SPRITE_BYTES = 48 << 20  # kept at 7680 wide
 SOFT_PX = 0.45  # of the optics
+TRUTHS = ("objects", "shirts")
 LEAST_PX = 1.0  # sides of a box; the ball is smaller than that in a small picture
 STRIP_PX = 2 << 20  # drawn at a time where a reduction has no short way
 
@@ -54,6 +56,9 @@ class WholePitchScene:
     not depend on the window; an averaged one is the mean, up to the edges of overlapping objects.
     The same seed gives the same match, whatever the view, the light and the order of access.
     `kept_frames` have their people and shadows drawn once, for windows of any of them.
+
+    With `names`, shirts bear names above the numbers. `truth_of` chooses what the truth is of:
+    `objects`, people and the ball, or `shirts`, numbers and names on the backs that are seen.
     """
 
     shows = "soccer"
@@ -70,9 +75,14 @@ class WholePitchScene:
         weather: str = "dry",
         ball: bool = True,
         kept_frames: int = 1,
+        names: bool = False,
+        truth_of: str = "objects",
     ) -> None:
         check_scene(size_px, rate_hz, seed, length)
-        choices = {"view": (view, VIEWS), "light": (light, LIGHTS), "weather": (weather, WEATHERS)}
+        choices = {
+            "view": (view, VIEWS), "light": (light, LIGHTS), "weather": (weather, WEATHERS),
+            "truth_of": (truth_of, TRUTHS),
+        }  # fmt: skip
         for name, (value, known) in choices.items():
             if value not in known:
                 raise SettingsError(f"{name}: expected {' or '.join(known)}, got {value!r}")
@@ -81,6 +91,7 @@ class WholePitchScene:
         self.size_px = (int(size_px[0]), int(size_px[1]))
         self.rate_hz, self.length = rate_hz, length
         self._seed, self._ball = seed, ball
+        self._names, self._truth_of = names, truth_of
         self._draw_world(view, light, weather)
         self._buffer = np.empty((0, 0, 3), np.uint8)
         self._frames: OrderedDict[int, _Frame] = OrderedDict()
@@ -103,6 +114,8 @@ class WholePitchScene:
         larger = mast.view.radius_px / USUAL_RADIUS_PX
         self._grain = Grain(self._seed, conditions.grain, conditions.drops, larger)
         looks, haze = everybody(self._seed), conditions.haze
+        if self._names:
+            looks = named(looks, self._seed)
         grey = np.float32(haze * conditions.haze_level / 255)
 
         def make(who: int, pose: Pose, height_px: int) -> figures.Sprite:
@@ -153,6 +166,8 @@ class WholePitchScene:
 
     def truth(self, index: int) -> Annotations:
         """Return the exact truth of frame `index`; the ball has id 26."""
+        if self._truth_of == "shirts":
+            return shirts_of(self._placed(index).actors, self.size_px)
         return truth_of(self._placed(index).actors, self.size_px, LEAST_PX)
 
     @property

@@ -57,6 +57,7 @@ def exposure(seq: int) -> list[dict[str, Message]]:
     told = header(seq)
     return [
         {"context": replace(frame, window=(0, 0, 1920, 1080))},
+        {"full": replace(frame, pixels=picture(54, 96, seed=seq), window=(0, 0, 1920, 1080))},
         {"roi": replace(frame, window=(96, 54, 144, 81))},
         {"truth": Truth(header=told, boxes=np.concatenate([BOX + seq, BOX + 500]),
                         ids=np.array([7, 8], np.int32), labels=("player", "player"),

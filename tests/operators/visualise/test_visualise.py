@@ -9,6 +9,8 @@ import pytest
 from rerun.chunk import Chunk, RrdReader
 
 from operators.visualise import Visualise, VisualiseSettings, jpeg, latencies
+from operators.visualise.pictures import jpeg_within
+from operators.visualise.visualise import MOST_FULL_PX
 from pipeline import Frame, MessageError, Percept, RunError, SettingsError
 from pipeline.commands import carry_out
 from pipeline.testing import drive, header, picture
@@ -37,9 +39,9 @@ def rows(chunks: list[Chunk], path: str, column: str) -> list[object]:
 
 
 def layout_of(path: Path) -> dict[str, set[str]]:
-    """Return the names of the newest layout's views, its collapsed panels and its timeline."""
+    """Return the names of all layouts' views, their collapsed panels and their timeline."""
     reader = RrdReader(path)
-    chunks = list(reader.stream(store=reader.blueprints()[-1]))
+    chunks = [c for layout in reader.blueprints() for c in reader.stream(store=layout)]
     panels = [c.entity_path for c in chunks if rows([c], c.entity_path, "Blueprint:state") == [[2]]]
     names = [rows([c], c.entity_path, "ViewBlueprint:display_name") for c in chunks]
     return {
@@ -52,7 +54,7 @@ def layout_of(path: Path) -> dict[str, set[str]]:
 FIELD = {
     "/sensor/context", "/sensor/roi", "/sensor/roi_rim", "/sensor/tracks", "/sensor/target",
     "/sensor/tracks/predicted", "/sensor/planned", "/sensor/planned/numbers", "/sensor/truth",
-    "/sensor/percept", "/window/roi",
+    "/sensor/percept", "/window/roi", "/full",
 }  # fmt: skip
 FIGURES = {
     "/latency/loop/p50", "/latency/loop/p99", "/latency/loop/budget_p50",
@@ -115,6 +117,27 @@ def test_the_view_opens_on_frames_with_its_panels_collapsed(tmp_path):
         "policy: objects by frames", "loop latency, ms", "by stage", "target", "pixels", "drops",
         "what happened", "what is drawn",
     }  # fmt: skip
+
+
+def test_what_is_read_lies_beside_full_resolution_where_that_is_known(tmp_path):
+    recorded(tmp_path, range(2))
+    both = layout_of(tmp_path / "seen.rrd")["views"]
+    parts = [{name: part(0, name)} for name in ("context", "roi")]
+    drive(Visualise, parts, {"save": str(tmp_path / "plain.rrd")})
+
+    plain = layout_of(tmp_path / "plain.rrd")["views"]
+
+    assert both >= {"what is read", "full resolution"}
+    assert ("what is read" in plain, "full resolution" in plain) == (True, False)
+
+
+def test_a_very_large_full_picture_is_averaged():
+    tall = Frame(header=header(0), pixels=picture(2, 3 * MOST_FULL_PX, seed=0))
+
+    contents, size_px = jpeg_within(tall, 80, MOST_FULL_PX)
+
+    shown = cv2.imdecode(np.frombuffer(contents, np.uint8), cv2.IMREAD_COLOR_RGB)
+    assert (size_px, shown.shape) == ((MOST_FULL_PX, 1), (1, MOST_FULL_PX, 3))
 
 
 def test_figures_say_what_the_roi_shows_of_the_target(tmp_path):

@@ -61,6 +61,15 @@ def test_every_gives_all_in_order() -> None:
     assert recorder.outcomes == []
 
 
+def test_a_tap_that_keeps_every_message_has_room_for_its_depth() -> None:
+    recorder = Recorder(frame=Input(Frame, keep="every", depth=3, join=False, tap=True))
+    for seq in range(5):
+        recorder.put("frame", seq)
+
+    assert [recorder.take() for _ in range(4)] == [2, 3, 4, None]
+    assert recorder.outcomes == [("frame", "superseded")] * 2
+
+
 def test_a_set_waits_for_its_partner_of_the_same_frame() -> None:
     recorder = Recorder(left=LATEST, right=LATEST)
     recorder.put("left", 5)

@@ -5,7 +5,9 @@ import signal
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from pipeline import Frame, Message, Percept, RunError
 from pipeline.messages import Detections
 from pipeline.pixel_formats import FORMATS
-from pipeline.recording.mcap_file import McapChunks
+from pipeline.recording.mcap_file import Item, McapChunks
 from pipeline.recording.reader import Recording
 from pipeline.recording.recorder import Limits, Recorder
 from pipeline.run.played import differing
@@ -61,6 +63,15 @@ def recorded(path: Path, messages: list[tuple[str, Message]], **limits: float) -
     return recorder
 
 
+def decoded(item: Item) -> Any:
+    """Return a protobuf message, decoded by the schema in the file alone."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(item.topic.schema).file:
+        pool.Add(file)
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(item.topic.schema_name))
+    return kind.FromString(item.data)
+
+
 def seqs(path: Path, output: str = "capture.context") -> list[int]:
     return [seq for _stream, seq in Recording(path).messages.get(output, {})]
 
@@ -84,16 +95,34 @@ def test_a_picture_is_decoded_by_the_schema_in_the_file_alone(tmp_path: Path) ->
 
     chunks = McapChunks(tmp_path / "a.mcap").scan()
     image = next(i for _, items in chunks for i in items if i.topic.name == "/capture/roi/image")
-    pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(image.topic.schema).file:
-        pool.Add(file)
-    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(image.topic.schema_name))
-    found = kind.FromString(image.data)
+    found = decoded(image)
 
     assert image.topic.schema_name == "foxglove.RawImage"
     assert (found.width, found.height, found.step, found.encoding) == (24, 24, 72, "rgb8")
     assert found.data == sent.pixels.tobytes()
     assert found.timestamp.ToNanoseconds() == sent.header.stamp_ns
+
+
+def test_boxes_are_drawn_on_the_first_picture_of_the_whole_field(tmp_path: Path) -> None:
+    whole = header(3).geometry
+    context = replace(frame(3), window=(0, 0, whole.width_px, whole.height_px))
+    half = (whole.width_px / 2, whole.height_px / 2)
+    seen = replace(percept(3), boxes=np.array([[0, 0, *half]], np.float32), texts=("EXIT",))
+    none = replace(percept(4), boxes=np.zeros((0, 4), np.float32), ids=np.zeros(0, np.int32),
+                   scores=np.zeros(0, np.float32))  # fmt: skip
+
+    recorded(
+        tmp_path / "a.mcap", [("capture.context", context), ("reader", seen), ("reader", none)]
+    )
+
+    items = [i for _, found in McapChunks(tmp_path / "a.mcap").scan() for i in found]
+    drawn = [decoded(i) for i in items if i.topic.name == "/reader/boxes"]
+    corners = [(point.x, point.y) for point in drawn[0].points[0].points]
+    assert corners == [(0, 0), (8, 0), (8, 8), (0, 8)]  # of a picture of 16 x 16
+    assert [text.text for text in drawn[0].texts] == ["EXIT"]
+    assert drawn[0].points[0].timestamp.ToNanoseconds() == context.header.stamp_ns
+    assert len(drawn[1].points) == 0
+    assert Recording(tmp_path / "a.mcap").newest("boxes") == {"picture": "/capture/context/image"}
 
 
 @given(n=st.integers(0, 5), channels=st.integers(0, 3), word=st.text(max_size=20))

@@ -6,12 +6,19 @@ import pytest
 
 pytest.importorskip("mcap")
 
-from pipeline import GraphError
+from rerun.chunk import RrdReader
+
+from operators.visualise.beside import MOST_COLUMNS, columns
+from pipeline import GraphError, RunError
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
+from pipeline.graph.shipped import graph_path, source_path
 from pipeline.recording.reader import Recording
 from pipeline.run.replay import plan_in, record_inline, replay
 from tests.commands import command
 from tests.sample_graphs import LOOP, plan_of
+from tests.shared_data import Footage
 
 TRACKING = """\
 nodes:
@@ -35,6 +42,14 @@ nodes:
   motion:
     operator: operators.examples.motion:Motion
     inputs: {frame: capture.context}
+"""
+
+
+VIEWER = """\
+  visualise:
+    operator: operators.visualise:Visualise
+    manual: true
+    inputs: {context: capture.context, roi: capture.roi, tracks: association}
 """
 
 
@@ -113,15 +128,44 @@ def test_the_command_prints_the_difference_and_has_its_exit_status(tmp_path: Pat
 
 def test_runs_on_the_same_light_are_compared_in_a_table(tmp_path: Path) -> None:
     full = "size_px: [640, 360], rate_hz: 30, seed: 1, strategy: full"
-    text = TRACKING.replace("size_px: [640, 360], rate_hz: 30, seed: SEED", full)
+    text = TRACKING.replace("size_px: [640, 360], rate_hz: 30, seed: SEED", full) + VIEWER
     plan_of(tmp_path, text)
     graph, file = str(tmp_path / "graph.yaml"), str(tmp_path / "a.mcap")
     command("record", graph, "--inline", "--frames", "3", "--out", file)
 
     tries = ("--try", "capture.roi_area=0.0625", "--try", "capture.roi_area=0.04")
-    found = command("replay", file, graph, "--light", *tries)
+    saved = str(tmp_path / "both.rrd")
+    found = command("replay", file, graph, "--light", *tries, "--save", saved)
 
     assert found.returncode == 0, found.stderr
     rows = [line for line in found.stdout.splitlines() if line.startswith("capture.roi_area")]
     assert len(rows) == 2
     assert rows[0].split()[1:] != rows[1].split()[1:]
+    chunks = list(RrdReader(saved).stream())
+    pictures = [{c.entity_path for c in chunks if c.entity_path.startswith(f"/try_{k}/")}
+                for k in (1, 2)]  # fmt: skip
+    assert all(f"/try_{k}/sensor/roi" in paths for k, paths in enumerate(pictures, 1))
+    (layout,) = RrdReader(saved).blueprints()
+    shown = " ".join(c.format() for c in RrdReader(saved).stream(store=layout))
+    assert all(name in shown for name in tries[1::2])
+
+
+def test_too_many_runs_side_by_side_are_refused(tmp_path: Path) -> None:
+    names = tuple(f"capture.seed={k}" for k in range(MOST_COLUMNS + 1))
+
+    with pytest.raises(RunError, match="expected 1 to 4 runs side by side, got 5"):
+        columns(names)
+
+
+@pytest.mark.footage
+def test_a_run_on_footage_is_replayed_bit_for_bit(footage: Footage, tmp_path: Path) -> None:
+    folder = footage.data("soccernet/SNMOT-116a")
+    over = Overlay(
+        source=source_path("soccernet"), changes=(f"capture.path={folder}",), clock="lockstep"
+    )
+    recording = recording_of(load(graph_path("tracking"), over), tmp_path, 30)
+
+    found = replay(plan_in(recording), recording, verify=True)
+
+    assert (found.frames, found.different, found.first) == (30, 0, None)
+    assert found.compared >= 6 * 30

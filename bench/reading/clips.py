@@ -1,0 +1,77 @@
+"""Clips to read: the name of a scene, or a folder -> clips, each with what the sensor shows.
+
+A folder holds videos (RoadText-1K), each with a JSON file of the same name or beside one file for
+all, or labelled photographs (ICDAR, Total-Text, labelme), over each of which a camera pans.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.datasets.images import SUFFIXES
+from drivers.datasets.texts.labels import labels_beside
+from pipeline.errors import DriverError
+
+ROAD = "road"
+MOST_FILES = 100_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clip:
+    """One clip."""
+
+    name: str
+    changes: tuple[str, ...]  # of the graph, as `--set` takes them
+    alike: tuple[str, ...]  # those of one clip for all of the data, which name the kept results
+
+
+def clips_of(data: str, *, count: int, frames: int, seed: int) -> list[Clip]:
+    """Return the clips, in order of seed or name; raises `DriverError` for a folder without any."""
+    if data == ROAD:
+        return [
+            Clip(name=str(each), changes=_street(each), alike=_street(0))
+            for each in range(seed, seed + count)
+        ]
+    folder = Path(data)
+    if not folder.is_dir():
+        raise DriverError(f"data: expected {ROAD} or a folder, got {data}")
+    files = sorted(folder.iterdir())[:MOST_FILES]
+    found = {**_videos(files), **_photographs(files, frames)}
+    if not found:
+        raise DriverError(
+            f"{folder}: expected videos with NAME.json or one JSON file, or photographs with "
+            f"labels, got neither among {len(files)} files"
+        )
+    first = next(iter(found.values()))
+    return [Clip(name=n, changes=c, alike=first) for n, c in list(found.items())[:count]]
+
+
+def _street(seed: int) -> tuple[str, ...]:
+    return (f"capture.seed={seed}",)
+
+
+def _videos(files: list[Path]) -> dict[str, tuple[str, ...]]:
+    tables = [file for file in files if file.suffix == ".json"]
+    found = {}
+    for file in files:
+        own = file.with_suffix(".json")
+        labels = own if own in tables else tables[0] if len(tables) == 1 else None
+        if file.suffix == ".mp4" and labels:
+            found[file.name] = _recorded(file, "RoadTextVideo", json.dumps({"labels": str(labels)}))
+    return found
+
+
+def _photographs(files: list[Path], frames: int) -> dict[str, tuple[str, ...]]:
+    return {
+        file.name: _recorded(file, "PannedPictures", f"{{frames_each: {frames}, seed: {number}}}")
+        for number, file in enumerate(files)
+        if file.suffix.lower() in SUFFIXES and labels_beside(file)
+    }
+
+
+def _recorded(file: Path, source: str, options: str) -> tuple[str, ...]:
+    given = {
+        "scene": "", "source": f"drivers.datasets:{source}", "path": str(file),
+        "source_options": options, "size_px": "[0, 0]", "rate_hz": 0,
+    }  # fmt: skip
+    return tuple(f"capture.{name}={value}" for name, value in given.items())

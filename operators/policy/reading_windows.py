@@ -1,0 +1,41 @@
+"""Windows that show several texts: boxes and their worth -> for each text its best window."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import Geometry
+from pipeline.boxes import Array, areas, centres, from_centres, intersections
+
+MARGIN_PX = 5.0  # around a text: one that touches the window's edge is read half as often
+WHOLE = 0.98  # share of a box and its margin that a window must show
+NEARER = 1e-3  # worth of a text in the middle of its window
+
+
+def around(boxes: Array, worth: Array, geometry: Geometry) -> tuple[Array, NDArray[np.bool_]]:
+    """Return for each text a window that shows it and what is worth most beside it.
+
+    From boxes (n, 4) and worths (n,): the centres of the windows (n, 2), and which texts each of
+    them shows (n, n). Tried are windows around the text, and between it and any other.
+    """
+    count = len(boxes)
+    if not count:
+        return np.zeros((0, 2), np.float32), np.zeros((0, 0), np.bool_)
+    middle, own = centres(boxes), np.arange(count)
+    roi: Array = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
+    field: Array = np.array([geometry.width_px, geometry.height_px], np.float32)
+    places: Array = ((middle[:, None] + middle[None]) / np.float32(2)).reshape(-1, 2)
+    if field.all():  # a window is inside the field
+        places = np.clip(places, roi / 2, field - roi / 2)
+    windows = from_centres(places, np.broadcast_to(roi, places.shape))
+    margin: Array = np.array([-MARGIN_PX, -MARGIN_PX, MARGIN_PX, MARGIN_PX], np.float32)
+    grown: Array = boxes + margin
+    if field.all():
+        grown = np.clip(grown, 0, np.tile(field, 2))
+    whole = np.maximum(areas(grown), 1e-9)
+    shows = (intersections(windows, grown) >= WHOLE * whole).reshape(count, count, count)
+    gain = shows @ worth.astype(np.float32) + NEARER * np.eye(count, dtype=np.float32)
+    gain[~shows[own, :, own]] = -1  # the text itself is not in it
+    best = gain.argmax(1)
+    best = np.where(gain[own, best] < 0, own, best)  # larger than a window
+    places = places.reshape(count, count, 2)[own, best]
+    return places, np.asarray(shows[own, best])

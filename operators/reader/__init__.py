@@ -1,0 +1,6 @@
+"""Read texts at full resolution: pictures in, texts with their boxes out."""
+
+from operators.reader.ctc import OnnxReader
+from operators.reader.reader import Reader
+
+__all__ = ["OnnxReader", "Reader"]

@@ -1,0 +1,88 @@
+"""One table of all tasks, from their reports."""
+# ruff: noqa: E501
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+pytest.importorskip("matplotlib")
+
+from bench.all_tasks import main
+from bench.results.table import read_table
+
+TRACKING = {
+    "commit": "1234567890", "graph": "tracking.yaml", "clips": ["a", "b"], "seed": 0,
+    "rows": [
+        {"clip": "all", "clips": 2, "target": "ball", "strategy": name, "budget": budget, "iou": iou}
+        for name, budget, iou in (("full", "1", 0.6), ("pursuit", "1/8", 0.58), ("spatial", "1/8", 0.3))
+    ] + [{"clip": "a", "clips": 1, "target": "ball", "strategy": "spatial", "budget": "1/8", "iou": 0.1}],
+}  # fmt: skip
+TEXT = {
+    "commit": "abcdef0123", "graph": "text.yaml", "clips": 10, "seed": 70_000,
+    "rows": [
+        {"strategy": name, "budget": budget, "read": read}
+        for name, budget, read in (("full", "1", 0.9), ("foveated", "1/16", 0.7), ("greedy", "1/16", 0.6))
+    ],
+}  # fmt: skip
+ROBOT = {
+    "commit": "1234567890", "graph": "manipulation.yaml", "trials": 100, "seed": 70_000,
+    "rows": [
+        {"strategy": name, "budget": budget, "complete": {"share": 0.5}, "partial": {"share": 0.8}}
+        for name, budget in (("full", "1"), ("spatial", "1/16"))
+    ],
+}  # fmt: skip
+
+
+def made(folder: Path, *, out: str = "out", **reports: Any) -> Any:
+    words = ["--out", str(folder / out)]
+    for task, report in reports.items():
+        path = folder / f"{task}.json"
+        path.write_text(json.dumps(report))
+        words += [f"--{task}", str(path)]
+    return CliRunner().invoke(main, words)
+
+
+def test_tasks_stand_beside_one_another_and_beside_the_paper(tmp_path: Path) -> None:
+    result = made(tmp_path, tracking=TRACKING, text=TEXT, manipulation=ROBOT)
+
+    assert result.exit_code == 0, result.output
+    path = tmp_path / "out" / "all_tasks.json"
+    table = read_table(path, path.read_bytes())
+    rows = {(row[0], row[1]): dict(zip(table.columns, row, strict=True)) for row in table.rows}
+    assert rows["ball: IoU", "1/8"]["foveated"] == "0.580 | 0.283"
+    assert rows["ball: IoU", "1/8"]["spatial"] == "0.300 | 0.122"
+    assert rows["text: share read", "1/16"]["full"] == "0.900 | 0.333"
+    assert rows["text: share read", "1/16"]["foveated"] == "0.700 | 0.227"
+    assert rows["insertion: complete", "1/16"]["spatial"] == "0.500 | 0.100"
+    assert rows["insertion: partial", "1/16"]["spatial"] == "0.800"
+    assert table.commit == "1234567, abcdef0"
+    assert (tmp_path / "out" / table.plot).stat().st_size > 5000
+
+
+def test_one_task_alone_is_a_table_too(tmp_path: Path) -> None:
+    result = made(tmp_path, text=TEXT)
+
+    assert result.exit_code == 0, result.output
+    assert "text: share read" in result.output
+    assert "ball" not in result.output
+
+
+@pytest.mark.parametrize(
+    ("reports", "sentence"),
+    [
+        ({}, "expected a report of --tracking, --text or --manipulation, got none"),
+        ({"text": [1]}, "expected a report of fovea eval with rows"),
+        ({"text": TRACKING}, "--text: expected rows of that task"),
+        ({"tracking": TRACKING | {"rows": []}}, "--tracking: expected rows of ball, got none"),
+    ],
+)
+def test_other_files_are_refused_in_a_sentence(
+    tmp_path: Path, reports: dict[str, Any], sentence: str
+) -> None:
+    result = made(tmp_path, **reports)
+
+    assert result.exit_code == 1
+    assert sentence in result.output
