@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from drivers.scenes.insertion import COMPLETE, STEPS, Simulation, demonstration
-from operators.manipulation.picture import PICTURE_PX, place
+from drivers.scenes.insertion.physics import SIZE_PX
+from drivers.scenes.insertion.simulation import PEG, SOCKET, VIEW
+from operators.manipulation.picture import PICTURE_PX, WORKPLACE, place
 from operators.training import arrays as files
 from operators.training.arrays import Arrays
 from operators.training.identity import Identity, of_code
@@ -26,9 +28,11 @@ TRAIN_SEEDS = 0  # up to 9,999; no other part of the project looks at these tria
 CHECK_SEEDS = 50_000  # up to 59,999: looked at while choosing
 DISTURBED_RAD = 0.05  # standard deviation of the push, about 25 mm at the gripper
 DISTURBED_STEPS = 12.0  # over which it changes
+SEEN_STEPS = 165  # peg and socket lie where they were, and no gripper hides them
 CALM = (140, 235), (285, STEPS)  # while objects are taken and joined: pushed, most would be lost
 UNDISTURBED = 4  # every one of so many trials
 GRIPPERS = (6, 13)
+NAMES = ("pictures", "joints", "steps", "targets", "places")
 
 
 def record(
@@ -58,7 +62,8 @@ def made_with(frames: int) -> dict[str, str]:
     return {
         "frames": str(frames),
         "picture_px": str(PICTURE_PX),
-        "disturbed": f"{DISTURBED_RAD} {DISTURBED_STEPS} {CALM}",
+        "disturbed": f"{DISTURBED_RAD} {DISTURBED_STEPS} {CALM} {UNDISTURBED}",
+        "places": str(SEEN_STEPS),
         **of_code("drivers.scenes.insertion"),
     }
 
@@ -66,15 +71,16 @@ def made_with(frames: int) -> dict[str, str]:
 def read(paths: Iterable[Path]) -> Arrays:
     """Return all demonstrations (n) with their k frames each in one array a name.
 
-    pictures (n, k, h, w, 3) uint8, joints (n, k, 14), steps (n, k) and targets (n, 400, 14).
+    pictures (n, k, h, w, 3) uint8, joints (n, k, 14), steps (n, k), targets (n, 400, 14), and
+    places (n, k, 2, 2) of peg and socket in the picture, -1 to 1, NaN once they were taken.
     Raises `DriverError` for a file that is none of these.
     """
     found: dict[str, list[NDArray[np.generic]]] = {}
     for path in paths:
         read = files.read(path)
-        if not {"pictures", "joints", "steps", "targets"} <= set(read):
+        if not set(NAMES) <= set(read):
             raise DriverError(f"{path}: expected a demonstration; record it again")
-        for name in ("pictures", "joints", "steps", "targets"):
+        for name in NAMES:
             found.setdefault(name, []).append(read[name])
     return {name: np.stack(values) for name, values in found.items()}
 
@@ -102,12 +108,24 @@ def demonstrated(seed: int, frames: int) -> Arrays:
             place(seen, whole, whole[2:], pictures[index])
             joints[index] = simulation.joints()
         simulation.step(targets[step] + push[step])
+    lying = (steps < SEEN_STEPS)[:, None, None]
     complete = np.array(simulation.best == COMPLETE)
     simulation.close()
     return {
         "pictures": pictures, "joints": joints, "steps": steps, "targets": targets,
-        "complete": complete,
+        "places": np.where(lying, places_of(seed), np.float32(np.nan)), "complete": complete,
     }  # fmt: skip
+
+
+def places_of(seed: int) -> NDArray[np.float32]:
+    """Return where peg and socket lie in the picture (2, 2) at the start, x and y in -1..1."""
+    simulation = Simulation(seed)
+    width, height = SIZE_PX
+    corners = [simulation.physics.corners(shapes) for shapes in ((PEG,), SOCKET)]
+    seen = [simulation.physics.projected(each, VIEW).mean(0) for each in corners]
+    shares = np.array(seen) / (width, height)
+    low, high = np.array(WORKPLACE[:2]), np.array(WORKPLACE[2:])
+    return np.asarray(2 * (shares - low) / (high - low) - 1, np.float32)
 
 
 def disturbance(random: np.random.Generator) -> NDArray[np.float32]:

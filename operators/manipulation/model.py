@@ -18,6 +18,7 @@ from operators.manipulation.picture import PICTURE_PX, WORKPLACE
 from operators.training import onnx_files
 
 JOINTS = 14
+SHARP = 8.0
 INPUTS = ("picture", "joints")
 
 
@@ -46,7 +47,8 @@ class Eyes(nn.Module):
             _block(48, 48, dilation=2),
         )
         self.maps = nn.Conv2d(48, points, 1)
-        self.sharpness = nn.Parameter(torch.tensor(1.0))
+        # a map as flat as at first looks everywhere at once, and hardly moves with an object
+        self.sharpness = nn.Parameter(torch.full((points, 1, 1), SHARP))
 
     def forward(self, picture: Tensor) -> Tensor:
         """(B, h, w, 3) of 0..255 -> (B, points, 2 + 48): place in -1..1, features."""
@@ -87,12 +89,16 @@ class ActNet(nn.Module):
 
     def forward(self, picture: Tensor, joints: Tensor, style: Tensor | None = None) -> Tensor:
         """(B, h, w, 3) uint8 and (B, 14) -> (B, chunk, 14); style (B, style), missing: its mean."""
-        scaled = (joints - self.mean) / self.spread
         if style is None:
-            style = scaled.new_zeros(scaled.shape[0], self.shape.style)
+            style = joints.new_zeros(joints.shape[0], self.shape.style)
+        return self.tell(self.eyes(picture), joints, style)
+
+    def tell(self, seen: Tensor, joints: Tensor, style: Tensor) -> Tensor:
+        """What the eyes saw (B, points, 2 + 48), joints (B, 14), style -> (B, chunk, 14)."""
+        scaled = (joints - self.mean) / self.spread
         tokens = torch.cat(
             [
-                self.of_points(self.eyes(picture)),
+                self.of_points(seen),
                 self.of_joints(scaled)[:, None],
                 self.of_style(style)[:, None],
             ],
@@ -120,15 +126,30 @@ class Style(nn.Module):
 
 
 def loss_of(
-    net: ActNet, picture: Tensor, joints: Tensor, targets: Tensor, *, divergence: float
+    net: ActNet,
+    picture: Tensor,
+    joints: Tensor,
+    targets: Tensor,
+    places: Tensor,
+    *,
+    divergence: float,
+    guide: float,
 ) -> tuple[Tensor, Tensor]:
-    """Return the loss and the mean absolute error in units of `spread`."""
+    """Return the loss and the mean absolute error in units of `spread`.
+
+    `places` (B, m, 2) are where the first m points are to look, NaN where that is not known: the
+    targets alone take thousands of steps to teach it. `guide` is the weight of that.
+    """
     mean, variance = net.style((joints - net.mean) / net.spread, (targets - net.mean) / net.spread)
     style = mean + torch.randn_like(mean) * (variance / 2).exp()
-    told = net(picture, joints, style)
+    seen = net.eyes(picture)
+    told = net.tell(seen, joints, style)
+    known = places.isfinite()
+    aside = (seen[:, : places.shape[1], :2] - places.nan_to_num()).abs() * known
     error = functional.l1_loss(told / net.spread, targets / net.spread)
     apart = -0.5 * (1 + variance - mean**2 - variance.exp()).sum(1).mean()
-    return error + divergence * apart, error.detach()
+    aimed = aside.sum() / known.sum().clamp(min=1)
+    return error + divergence * apart + guide * aimed, error.detach()
 
 
 def export(net: ActNet, path: Path) -> None:

@@ -46,15 +46,17 @@ class Demonstrations:
         self._read = read(paths)
         self._chunk = chunk
 
-    def batch(self, random: np.random.Generator, size: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Pictures (B, h, w, 3) uint8, joints (B, 14) and targets (B, chunk, 14)."""
+    def batch(self, random: np.random.Generator, size: int) -> tuple[Tensor, ...]:
+        """Pictures (B, h, w, 3) uint8, joints (B, 14), targets (B, chunk, 14), places (B, 2, 2)."""
         known = self._read
         clips, frames = known["steps"].shape
         clip, frame = random.integers(clips, size=size), random.integers(frames, size=size)
         rows = known["steps"][clip, frame][:, None] + np.arange(self._chunk)
         targets = known["targets"][clip[:, None], np.minimum(rows, STEPS - 1)]
-        pictures, joints = known["pictures"][clip, frame], known["joints"][clip, frame]
-        return torch.from_numpy(pictures), torch.from_numpy(joints), torch.from_numpy(targets)
+        pictures, joints, places = (
+            known[name][clip, frame] for name in ("pictures", "joints", "places")
+        )
+        return tuple(torch.from_numpy(each) for each in (pictures, joints, targets, places))
 
     def scale(self) -> tuple[Tensor, Tensor]:
         """Mean and spread (14,) of the targets."""
@@ -116,7 +118,7 @@ def _advance(
     """One step of the optimiser: loss and error."""
     device = net.mean.device
     random = np.random.default_rng([s.seed, 13, step])
-    picture, joints, targets = (
+    picture, joints, targets, places = (
         moved(each, device) for each in demonstrations.batch(random, s.batch)
     )
     # the grippers tell how far the trial has come, and nothing of where things lie
@@ -129,7 +131,9 @@ def _advance(
     net.train()
     torch.manual_seed(s.seed * s.iterations + step)
     with torch.autocast(device.type, torch.bfloat16, enabled=device.type != "mps"):
-        loss, error = loss_of(net, picture, joints, targets, divergence=s.divergence)
+        loss, error = loss_of(
+            net, picture, joints, targets, places, divergence=s.divergence, guide=s.guide
+        )
     optimiser.zero_grad(set_to_none=True)
     loss.backward()
     torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)

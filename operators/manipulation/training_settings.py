@@ -24,6 +24,7 @@ class TrainSettings:
     # as the disturbance of demonstrations
     divergence: float = 0.01  # weight of the Kullback-Leibler divergence of the styles
     trials: int = 20  # closed-loop trials after the training
+    guide: float = 2.0  # weight of looking at peg and socket, where that is known
     init: Path | None = None  # a checkpoint of a network to begin with
     seed: int = 1
     threads: int = 2
@@ -31,6 +32,6 @@ class TrainSettings:
 
     def __post_init__(self) -> None:
         at_least(1, self, "demonstrations", "frames", "iterations", "batch", "chunk", "threads")
-        at_least(0, self, "warmup", "decay", "noise", "divergence", "trials", "seed")
+        at_least(0, self, "warmup", "decay", "noise", "guide", "divergence", "trials", "seed")
         above_zero(self, "rate")
         known_device(self.device)

@@ -126,7 +126,7 @@ def starts(side_px: int) -> list[int]:
     """Return where tiles of a side begin.
 
     >>> starts(1280), starts(4320)
-    ([0], [0, 1160, 2320])
+    ([0], [0, 1360, 2720])
     """
     if side_px <= LONGEST_SIDE_PX:
         return [0]

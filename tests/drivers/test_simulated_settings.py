@@ -46,7 +46,7 @@ def test_configure_refuses_unsupported_modes(mode: Mode, named: str) -> None:
     [
         ({"scene": ""}, "scene or source: expected exactly one"),
         ({"source": f"{HERE}:MovingSquare"}, "scene or source: expected exactly one"),
-        ({"scene": "socker"}, "scene: expected soccer, panorama or an import path"),
+        ({"scene": "socker"}, "scene: expected soccer, panorama, road, insertion or an import"),
         ({"context_scale": 0.0}, "context_scale: expected above 0 to 1, got 0.0"),
         ({"budget": 2.0}, "budget: expected above 0 to 1"),
         ({"noise": float("nan")}, "noise: must be at least 0"),

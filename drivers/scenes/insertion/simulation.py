@@ -99,8 +99,8 @@ def controls_of(targets: NDArray[np.float32]) -> NDArray[np.float64]:
 def joints_of(positions: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return the joints (14,) of the simulation's positions.
 
-    >>> joints_of(np.concatenate([REST, start_of(0)]))[[1, 6, 8]].round(2).tolist()
-    [-0.96, 0.1, -0.96]
+    >>> [f"{joint:.2f}" for joint in joints_of(np.concatenate([REST, start_of(0)]))[[1, 6, 8]]]
+    ['-0.96', '0.10', '-0.96']
     """
     left, right = positions[:7].copy(), positions[8:15].copy()
     for arm in (left, right):

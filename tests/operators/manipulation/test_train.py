@@ -42,17 +42,42 @@ def test_the_error_falls_where_targets_follow_from_the_joints() -> None:
     subject, shown = net(), pictures(4)
     joints = torch.randn(4, 14, generator=torch.Generator().manual_seed(3))
     targets = joints[:, None].expand(-1, SMALL.chunk, -1)
+    places = torch.full((4, 2, 2), torch.nan)
     optimiser = torch.optim.Adam(subject.parameters(), 1e-2)
     errors = []
 
     for _ in range(40):
-        loss, error = loss_of(subject, shown, joints, targets, divergence=0.01)
+        loss, error = loss_of(subject, shown, joints, targets, places, divergence=0.01, guide=1.0)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         errors.append(float(error))
 
     assert errors[-1] < 0.5 * errors[0]
+
+
+def test_a_guided_point_follows_an_object_and_others_are_free() -> None:
+    subject, corners = net(), [(20, 10), (200, 20), (60, 90), (150, 60)]
+    shown = torch.full((4, PICTURE_PX[1], PICTURE_PX[0], 3), 90, dtype=torch.uint8)
+    for picture, (left, top) in zip(shown, corners, strict=True):
+        picture[top : top + 8, left : left + 20] = torch.tensor([200, 20, 20], dtype=torch.uint8)
+    centres = (torch.tensor(corners) + torch.tensor([10, 4])) / torch.tensor(PICTURE_PX) * 2 - 1
+    places = torch.stack([centres, torch.full_like(centres, torch.nan)], 1)
+    joints, targets = torch.zeros(4, 14), torch.zeros(4, SMALL.chunk, 14)
+    optimiser = torch.optim.Adam(subject.parameters(), 1e-2)
+
+    def apart() -> float:
+        return float((subject.eyes(shown)[:, 0, :2] - centres).abs().mean().detach())
+
+    before = apart()
+    for _ in range(40):
+        loss, _ = loss_of(subject, shown, joints, targets, places, divergence=0.01, guide=2.0)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+
+    assert bool(torch.isfinite(loss))
+    assert apart() < 0.3 * before
 
 
 def test_the_exported_network_answers_as_the_trained_one(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from time import monotonic, sleep
 
 import psutil
 import pytest
@@ -20,7 +21,7 @@ from pipeline.protocol.fleet import EdgeState, NodeState, Process, State
 from pipeline.protocol.questions import NodeSettings
 from pipeline.run.rundir import running
 from tests.commands import command
-from tests.sample_graphs import CHAIN, together
+from tests.sample_graphs import CHAIN, PATIENCE_S, together
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 
@@ -68,6 +69,9 @@ def test_a_view_joins_a_running_graph_and_leaves_it_as_it_was(name: str) -> None
     assert second == {f"viewer_{view.pid}"}
     assert view.returncode == 0
     assert said.splitlines()[-1] == f"{name}: goes on without the view"
+    deadline_s = monotonic() + PATIENCE_S
+    while nodes(name) != before and monotonic() < deadline_s:
+        sleep(0.05)  # the graph writes down what it is after it has answered
     assert nodes(name) == before
 
 
