@@ -22,7 +22,7 @@ HEADLESS = $(PIP) --force-reinstall --no-deps opencv-python-headless
 SHARED ?= ../shared
 
 # what `make demo` runs: make demo GRAPH=follow SOURCE=webcam SET=policy.target=dog
-# or another task: make demo TASK=text reads a street
+# or another task: make demo TASK=text reads a street, TASK=manipulation inserts a peg
 TASK ?= tracking
 GRAPH ?= $(TASK)
 SOURCE ?=
@@ -40,7 +40,7 @@ DEVICE ?= auto
 # where pip finds torch: PyPI's own needs 5 GB of CUDA on Linux; for a GPU …/whl/cu130
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-demo: $(VENV)/.installed $(patsubst %,$(VENV)/.installed-%,$(filter text,$(TASK) $(GRAPH)))
+demo: $(VENV)/.installed $(patsubst %,$(VENV)/.installed-%,$(filter text manipulation,$(TASK) $(GRAPH)))
 	$(BIN)/fovea run graphs/$(GRAPH).yaml --duration-s 20 --save demo.rrd \
 		$(if $(SOURCE),--source $(SOURCE)) $(foreach change,$(SET),--set $(change))
 	@echo "look at it: $(BIN)/rerun demo.rrd"
@@ -123,6 +123,11 @@ $(VENV)/.installed-dev: pyproject.toml $(VENV)/.installed
 	@echo "installing what the tests need"
 	@$(PIP) --editable '.[dev]'
 	@$(HEADLESS)
+	@touch $@
+
+$(VENV)/.installed-manipulation: pyproject.toml $(VENV)/.installed
+	@echo "installing what simulates the robot: MuJoCo and gym-aloha"
+	@$(PIP) --editable '.[robot]'
 	@touch $@
 
 $(VENV)/.installed-text: pyproject.toml $(VENV)/.installed

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,6 +13,8 @@ from bench.results.table import ResultError
 
 T = TypeVar("T")
 LONGEST_LIST = 12  # values of a list that are shown in one cell
+LONGEST_INTERVAL = 2
+PLAIN = (str, int, float, type(None))
 
 
 class Machine(msgspec.Struct, frozen=True):
@@ -124,6 +126,14 @@ PLACES = {
     "rules": Place(
         section="Tracking under a pixel budget", order=31,
         title="Each rule of the policies left out once",
+    ),
+    "reading": Place(
+        section="Reading under a pixel budget", order=1,
+        title="Texts of a street that a frozen reader transcribes, by strategy and budget",
+    ),
+    "manipulation": Place(
+        section="Manipulation under a pixel budget", order=1,
+        title="A robot's insertion by a frozen consumer, by strategy and budget",
     ),
     "crash": Place(section="Faults, swaps and long runs", order=1, title="SIGKILL under load"),
     "chaos": Place(section="Faults, swaps and long runs", order=3, title="Random faults"),
@@ -262,12 +272,33 @@ def _tables(values: Mapping[str, Any]) -> list[str]:
 
 
 def _is_rows(value: Any) -> bool:
-    """Whether a value is a list of flat mappings."""
-    plain = (str, int, float, type(None))
+    """Whether a value is a list of mappings to single figures."""
     return bool(value) and isinstance(value, list) and all(
-        isinstance(row, Mapping) and row and all(isinstance(v, plain) for v in row.values())
+        isinstance(row, Mapping) and row and all(isinstance(v, PLAIN) for v in row.values())
         for row in value
     )  # fmt: skip
+
+
+def _strategies(report: Report) -> list[str]:
+    """Return Markdown of a report of `fovea eval`: intervals as text, single trials left out."""
+    told = [_of_strategy(row) for row in report.values.get("rows", ())]
+    names = dict.fromkeys(name for row in told for name in row)
+    rows = [{name: row.get(name) for name in names} for row in told]
+    return _values(replace(report, values={**report.values, "rows": rows}))
+
+
+def _of_strategy(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in row.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            found |= _of_strategy(value, f"{name}: ")
+        elif isinstance(value, list):
+            if len(value) <= LONGEST_INTERVAL:
+                found[name] = " to ".join(cell(part) for part in value)
+        else:
+            found[name] = value
+    return found
 
 
 def _scalars(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -285,4 +316,6 @@ def _scalars(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
             yield name, value
 
 
-FORMS: Mapping[str, Callable[[Report], list[str]]] = {"follow": _follow, "soak": _soak}
+FORMS: Mapping[str, Callable[[Report], list[str]]] = {
+    "follow": _follow, "soak": _soak, "reading": _strategies, "manipulation": _strategies,
+}  # fmt: skip
