@@ -178,6 +178,7 @@ class Visualise(Operator[VisualiseSettings, None]):
     def on_tracks(self, tracks: Tracks) -> None:
         """Boxes in the colours of their classes, where they are foreseen, the target by name."""
         self._grow_trails(tracks)
+        self._tracks = tracks
         row, in_roi = self._target.row(tracks), self._target.in_roi(tracks)
         if len(self._names) > MOST_NAMES:
             self._names.clear()
@@ -248,10 +249,12 @@ class Visualise(Operator[VisualiseSettings, None]):
         overlap = self._target.overlap(percept)
         if not self._wanted(percept, "percept"):
             return
-        labels = [f"{score:.2f}" for score in percept.scores]
+        boxes, labels = percept.boxes, [f"{score:.2f}" for score in percept.scores]
         read = len(percept.texts) == len(labels) and bool(labels)
-        labels = list(percept.texts) if read else labels
-        self._out.boxes("sensor/percept", percept.boxes, field.RED, labels, named=read)
+        if read:
+            rows = field.on_tracks(boxes, self._tracks)
+            boxes, labels = boxes[rows], [percept.texts[row] for row in rows]
+        self._out.boxes("sensor/percept", boxes, field.RED, labels, named=read)
         if overlap is not None:
             self._out.value("figures/target/iou", overlap)
         if percept.texts:
@@ -271,6 +274,7 @@ class Visualise(Operator[VisualiseSettings, None]):
         self._loop, self._pixels, self._target = LoopLatency(), PixelsRead(), Target()
         self._raster, self._events = ScanpathRaster(), Events()
         self._names = dict[int, str]()  # of the tracks
+        self._tracks: Tracks | None = None  # the newest
         self._start_ns: int | None = None
         self._contexts: list[Frame | None] = [None, None]  # the newest two
         self._rois: dict[str, Frame] = {}  # the newest of each window

@@ -194,6 +194,19 @@ def test_the_box_of_a_lost_object_is_removed(tmp_path):
     assert [len(b) for b in boxes] == [1, 0]
 
 
+def test_a_text_is_drawn_where_something_is_tracked_only(tmp_path):
+    path = tmp_path / "seen.rrd"
+    elsewhere = BOX + 40
+    both = np.concatenate([BOX, elsewhere])
+    told = {"ids": np.arange(2, dtype=np.int32), "scores": np.ones(2, np.float32)}
+    read = Percept(header=header(0), boxes=both, texts=("HERE", "GONE"), **told)
+
+    drive(Visualise, [{"tracks": part(0, "tracks")}, {"percept": read}], {"save": str(path)})
+
+    chunks = list(RrdReader(path).stream())
+    assert rows(chunks, "/sensor/percept", "Boxes2D:labels") == [["HERE"]]
+
+
 def test_times_count_from_the_start_of_the_stream(tmp_path):
     chunks = recorded(tmp_path, range(5, 8))
 
