@@ -61,7 +61,29 @@ class Soak(msgspec.Struct, frozen=True):
     verdict: list[Verdict] = []
 
 
-SHAPES: Mapping[str, type[msgspec.Struct]] = {"follow": Ends, "soak": Soak}
+class Spread(msgspec.Struct, frozen=True):
+    """A figure over rounds."""
+
+    median: float
+    min: float
+    max: float
+
+    @property
+    def told(self) -> str:
+        """The three, as a cell."""
+        return f"{cell(self.median)} ({cell(self.min)} to {cell(self.max)})"
+
+
+class Watching(msgspec.Struct, frozen=True):
+    """What is shown of `bench.watching`; way of watching -> figure -> spread over rounds."""
+
+    graph: str
+    frames: int
+    n: int
+    summary: dict[str, dict[str, Spread]]
+
+
+SHAPES: Mapping[str, type[msgspec.Struct]] = {"follow": Ends, "soak": Soak, "watching": Watching}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +108,7 @@ class Place:
 PLACES = {
     "loop": Place(section="Time and transport", order=2, title="The loop"),
     "bus": Place(section="Time and transport", order=4, title="One hop"),
+    "watching": Place(section="Time and transport", order=3, title="What watching costs"),
     "usb": Place(
         section="Time and transport", order=5,
         title="The paper's two streams over the USB driver and through the graph",
@@ -244,6 +267,18 @@ def _soak(report: Report) -> list[str]:
     return [verdict, table(columns, memory), *_spans(report.values.get("overlap", {}))]
 
 
+def _watching(report: Report) -> list[str]:
+    """Return Markdown of how the graph ran by how it was watched: median (least to greatest)."""
+    found = msgspec.convert(report.values, Watching)
+    columns = list(dict.fromkeys(name for row in found.summary.values() for name in row))
+    rows = [
+        [how, *(row[name].told if name in row else "–" for name in columns)]
+        for how, row in sorted(found.summary.items(), key=lambda item: item[1]["p50_ms"].median)
+    ]
+    about = f"{found.n} rounds of {found.frames} frames of {found.graph}; the order is random."
+    return [about, table(["watched by", *(name.replace("_", " ") for name in columns)], rows)]
+
+
 def _spans(values: Mapping[str, Any]) -> list[str]:
     parts = ("first", "last", "grown")
     rows = [
@@ -317,5 +352,6 @@ def _scalars(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
 
 
 FORMS: Mapping[str, Callable[[Report], list[str]]] = {
-    "follow": _follow, "soak": _soak, "reading": _strategies, "manipulation": _strategies,
+    "follow": _follow, "soak": _soak, "watching": _watching,
+    "reading": _strategies, "manipulation": _strategies,
 }  # fmt: skip

@@ -89,6 +89,7 @@ class Visualise(Operator[VisualiseSettings, None]):
     truth = Input(Truth, join=False, optional=True, tap=True)
 
     _screen: Screen | None = None
+    _tracks: Tracks | None = None  # the newest
 
     def open(self) -> None:
         """Open the file, the connection or the server; raises `RunError` when that fails."""
@@ -274,7 +275,7 @@ class Visualise(Operator[VisualiseSettings, None]):
         self._loop, self._pixels, self._target = LoopLatency(), PixelsRead(), Target()
         self._raster, self._events = ScanpathRaster(), Events()
         self._names = dict[int, str]()  # of the tracks
-        self._tracks: Tracks | None = None  # the newest
+        self._tracks = None
         self._start_ns: int | None = None
         self._contexts: list[Frame | None] = [None, None]  # the newest two
         self._rois: dict[str, Frame] = {}  # the newest of each window
