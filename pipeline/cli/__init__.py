@@ -30,7 +30,7 @@ TABLE = {
     "completion": ("pipeline.cli.completion:completion", "Print completion code for a SHELL."),
     "doctor": ("pipeline.doctor:doctor_command", "Diagnose this installation, or a graph on it."),
     "down": (f"{FLEET}:down_command", "Stop a graph on all its hosts."),
-    "draw": (f"{RUN}:draw", "Print the graph as a Mermaid chart or as text."),
+    "draw": ("pipeline.cli.draw:draw", "Print the graph as a Mermaid chart, SVG or text."),
     "echo": (f"{INSPECTION}:echo", "Print the messages of an output as they arrive."),
     "eval": (f"{TASKS}:eval_command", "Evaluate a task: figures, tables, plots."),
     "export": (f"{FLEET}:export_command", "Print a graph's hosts as units or manifests."),
