@@ -16,7 +16,7 @@ import numpy as np
 from drivers.robot import Joints
 from operators.acting.looked import Looked, followed, nothing_looked, shown
 from operators.acting.network import SHIPPED, ActingNetwork
-from operators.acting.windows import AGE, PLACE, Array, appearance, candidates, facts
+from operators.acting.windows import Array, appearance, candidates, facts, in_turn
 from pipeline import Frame, Header, Input, MessageError, Operator, Scanpath, SettingsError, Tracks
 from pipeline.providers import NetworkSettings
 
@@ -121,12 +121,11 @@ class ActingPolicy(Operator[ActingPolicySettings, Scanpath]):
         looks = appearance(tracks, found)
         windows, choice = [], []
         for step in range(1, s.horizon + 1):
-            known = facts(tracks, looked, found, seq + step - 1)
             if self._network:
-                worth = self._network(known, looks, joints.positions)
+                known = facts(tracks, looked, found, seq + step - 1)
+                best = int(self._network(known, looks, joints.positions).argmax())
             else:
-                worth = np.where(found.kinds == PLACE, known[:, AGE], -1)
-            best = int(worth.argmax())
+                best = in_turn(found, seq + step)
             windows.append(found.windows[best])
             member = found.members[best]
             one = member[0] >= 0 and member[0] == member[1]

@@ -73,6 +73,12 @@ def tiles(workplace: Region, geometry: Geometry) -> Array:
     return np.stack(np.meshgrid(*lines), axis=-1).reshape(-1, 2).astype(np.float32)
 
 
+def in_turn(found: Candidates, seq: int) -> int:
+    """Return the row of the place whose turn frame `seq` is."""
+    places = np.flatnonzero(found.kinds == PLACE)
+    return int(places[seq % len(places)])
+
+
 def aligned(at: Array, geometry: Geometry) -> Array:
     """Return the windows (n, 4) of the ROI's size around centres (n, 2), inside the field."""
     roi = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
