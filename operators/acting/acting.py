@@ -100,9 +100,10 @@ class ActingPolicy(Operator[ActingPolicySettings, Scanpath]):
                     f"policy.context: expected rgb8 pixels, got {context.pixel_format}; put "
                     "operators.downsample:Downsample before it"
                 )
-            self._looked = followed(self._looked, context.pixels, self.settings.change_levels)
+            pixels = np.asarray(context.pixels, np.uint8)
+            self._looked = followed(self._looked, pixels, self.settings.change_levels)
             if roi.pixels.size:
-                self._looked = shown(self._looked, context.pixels, roi.window, geometry, seq)
+                self._looked = shown(self._looked, pixels, roi.window, geometry, seq)
         sound = finite(tracks)
         windows, choice = self._plan(sound, joints)
         return Scanpath(
@@ -115,7 +116,7 @@ class ActingPolicy(Operator[ActingPolicySettings, Scanpath]):
         )
 
     def _plan(self, tracks: Tracks, joints: Joints) -> tuple[Array, np.ndarray]:
-        """Return windows (Tp, 4) and tracks (Tp,); each frame counts what those before will show."""
+        """Return windows (Tp, 4) and tracks (Tp,); a frame counts what those before will show."""
         s, looked, seq = self.settings, self._looked, tracks.header.seq
         found = candidates(tracks, s.workplace)
         looks = appearance(tracks, found)

@@ -15,7 +15,8 @@ SHIPPED = Path(__file__).with_name("acting.onnx")
 class ActingNetwork:
     """The network of one ONNX file; raises `WeightsError` unless it is one of these.
 
-    Inputs `facts` (1, n, 15), `appearance` (1, n, channels), `joints` (1, j); output `gains` (1, n).
+    Inputs `facts` (1, n, 15), `appearance` (1, n, channels) and `joints` (1, j); output `gains`
+    (1, n), radians.
     """
 
     def __init__(

@@ -1,5 +1,6 @@
 """Training of the policy that acts, in two rounds: the second has trials of the first's policy."""
 
+# mypy: disallow-untyped-decorators=False
 import json
 import time
 from collections.abc import Callable

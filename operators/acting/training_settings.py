@@ -12,7 +12,7 @@ class TrainSettings:
 
     data: Path
     out: Path
-    trials: int = 30  # of each of the two rounds
+    trials: int = 20  # of each of the two rounds
     iterations: int = 10_000  # of each round
     batch: int = 64  # moments
     rate: float = 1e-3

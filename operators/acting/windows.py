@@ -58,7 +58,7 @@ def candidates(tracks: Tracks, workplace: Region) -> Candidates:
 
 
 def tiles(workplace: Region, geometry: Geometry) -> Array:
-    """Return the centres (n, 2) of the fewest windows that cover a part of the field, row by row."""
+    """Return the centres (n, 2) of the fewest windows that cover a part of the field."""
     lines = []
     for axis, (field, side) in enumerate(
         (

@@ -41,9 +41,7 @@ def test_in_turn_every_place_is_shown_before_one_is_shown_again() -> None:
 
 def test_a_plan_goes_on_as_the_next_ones_do() -> None:
     subject, window = policy(choose="turn", horizon=4), START
-    ahead = subject.on_tracks_context_roi_joints(
-        tracks([]), context(), roi(window), joints()
-    ).boxes
+    ahead = subject.on_tracks_context_roi_joints(tracks([]), context(), roi(window), joints()).boxes
 
     assert [tuple(int(v) for v in box) for box in ahead] == followed(policy(choose="turn"), 4)
 
