@@ -31,7 +31,7 @@ class ActionChunkingSettings(NetworkSettings):
 
     weights: str = ""  # an ONNX file; empty: the shipped one
     decay: float = 0.01  # of the weights of chunks, from the oldest on
-    ahead: int = 16  # steps told in one message: those after the first are for frames left out
+    ahead: int = 100  # steps told in one message: those after the first are for frames left out
     change_levels: float = 6.0  # of 255, between contexts, over which what the ROI showed there is
     # no longer kept; 0: nothing is kept
 
