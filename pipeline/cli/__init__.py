@@ -54,6 +54,7 @@ TABLE = {
     "tell": (f"{CONTROL}:tell_command", "Call a command of a running node."),
     "top": (f"{INSPECTION}:top", "Watch rates, latencies and drops of a running graph."),
     "train": (f"{TASKS}:train_command", "Train the networks of a task."),
+    "tune": ("pipeline.cli.tune:tune", "Find the cheapest threads and providers for a graph."),
     "up": (f"{FLEET}:up_command", "Start a graph on the hosts that its nodes name."),
     "version": ("pipeline.cli.version:version", "Print version and commit."),
     "view": ("pipeline.cli.view:view", "Watch a running graph in a browser, with Rerun."),

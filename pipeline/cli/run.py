@@ -107,6 +107,7 @@ def _detach(given: Mapping[str, Any], *, as_json: bool) -> None:
     options = {
         "--source": given["source"], "--clock": given["clock"], "--frames": given["frames"],
         "--duration-s": given["duration_s"], "--save": given["save"], "--report": given["report"],
+        "--settings": given["settings"],
     }  # fmt: skip
     words = [f"{name}={value}" for name, value in options.items() if value is not None]
     words += [f"--set={change}" for change in given["changes"]]
