@@ -118,7 +118,7 @@ $(VENV)/bin/python:
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 	@echo "installing into $(VENV): about a minute and 1.3 GB, once"
-	@$(PIP) --editable .
+	@$(PIP) --editable '.[view]'
 	@touch $@
 
 $(VENV)/.installed-train: pyproject.toml $(VENV)/.installed
