@@ -4,6 +4,7 @@
 #   make test-slow     the tests that take minutes, and a search for inputs that break something
 #   make test-footage  the tests on recordings and third-party weights, which are in SHARED; what is
 #                      not there is skipped
+#   make test-robot    the tests of the robot, with MuJoCo: needs libosmesa6
 #   make test-guest    the drivers of USB boards and webcams over a real kernel in a virtual machine: needs
 #                      QEMU, busybox-static and KERNEL, which `make guest-kernel` downloads (70 MB)
 #   make check         style, types, import rules and the examples in docstrings
@@ -16,13 +17,13 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # rapidocr brings OpenCV with windows, which needs libGL; the one without takes its place again
 HEADLESS = $(PIP) --force-reinstall --no-deps opencv-python-headless
 
-.PHONY: demo test test-slow test-footage guest-kernel test-guest guest-gadget guest-usbip check train clean
+.PHONY: demo test test-slow test-footage test-robot guest-kernel test-guest guest-gadget guest-usbip check train clean
 
 # where recordings (data/) and third-party weights (models/) are
 SHARED ?= ../shared
 
 # what `make demo` runs: make demo GRAPH=follow SOURCE=webcam SET=policy.target=dog
-# or another task: make demo TASK=text reads a street
+# or another task: make demo TASK=text reads a street, TASK=manipulation inserts a peg
 TASK ?= tracking
 GRAPH ?= $(TASK)
 SOURCE ?=
@@ -40,7 +41,7 @@ DEVICE ?= auto
 # where pip finds torch: PyPI's own needs 5 GB of CUDA on Linux; for a GPU …/whl/cu130
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-demo: $(VENV)/.installed $(patsubst %,$(VENV)/.installed-%,$(filter text,$(TASK) $(GRAPH)))
+demo: $(VENV)/.installed $(patsubst %,$(VENV)/.installed-%,$(filter text manipulation,$(TASK) $(GRAPH)))
 	$(BIN)/fovea run graphs/$(GRAPH).yaml --duration-s 20 --save demo.rrd \
 		$(if $(SOURCE),--source $(SOURCE)) $(foreach change,$(SET),--set $(change))
 	@echo "look at it: $(BIN)/rerun demo.rrd"
@@ -52,6 +53,12 @@ test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "slow and not (hardware or footage)"
 	$(BIN)/python -m pytest -n 2 -m "hypothesis and not (slow or hardware or footage)" \
 		--hypothesis-profile search
+
+# the robot's tests, which are skipped without its extra; MuJoCo draws by libosmesa6 of the system
+test-robot: $(VENV)/.installed-dev $(VENV)/.installed-manipulation
+	$(BIN)/python -m pytest -n 2 --dist loadfile tests/drivers/scenes/test_insertion.py \
+		tests/graphs/test_manipulation.py tests/operators/manipulation tests/bench/test_manipulation.py \
+		tests/operators/saliency/objects
 
 test-footage: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "footage and not hardware" -rs --shared="$(SHARED)"
@@ -111,7 +118,7 @@ $(VENV)/bin/python:
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 	@echo "installing into $(VENV): about a minute and 1.3 GB, once"
-	@$(PIP) --editable .
+	@$(PIP) --editable '.[view]'
 	@touch $@
 
 $(VENV)/.installed-train: pyproject.toml $(VENV)/.installed
@@ -123,6 +130,11 @@ $(VENV)/.installed-dev: pyproject.toml $(VENV)/.installed
 	@echo "installing what the tests need"
 	@$(PIP) --editable '.[dev]'
 	@$(HEADLESS)
+	@touch $@
+
+$(VENV)/.installed-manipulation: pyproject.toml $(VENV)/.installed
+	@echo "installing what simulates the robot: MuJoCo and gym-aloha"
+	@$(PIP) --editable '.[robot]'
 	@touch $@
 
 $(VENV)/.installed-text: pyproject.toml $(VENV)/.installed

@@ -18,6 +18,7 @@ EXTRAS = {  # by the name that is imported
     "onnx": "train",
     "prometheus_client": "metrics",
     "rapidocr": "text",
+    "rerun": "view",
     "torch": "train",
     "trackeval": "mot",
     "usb": "usb",
@@ -29,6 +30,7 @@ PACKAGES = {
     "google": "protobuf",
     "gym_aloha": "gym-aloha",
     "prometheus_client": "prometheus-client",
+    "rerun": "rerun-sdk",
     "usb": "pyusb",
 }  # whose name is another
 INDEX = {"train": "https://download.pytorch.org/whl/cpu"}

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,6 +13,8 @@ from bench.results.table import ResultError
 
 T = TypeVar("T")
 LONGEST_LIST = 12  # values of a list that are shown in one cell
+LONGEST_INTERVAL = 2
+PLAIN = (str, int, float, type(None))
 
 
 class Machine(msgspec.Struct, frozen=True):
@@ -59,7 +61,29 @@ class Soak(msgspec.Struct, frozen=True):
     verdict: list[Verdict] = []
 
 
-SHAPES: Mapping[str, type[msgspec.Struct]] = {"follow": Ends, "soak": Soak}
+class Spread(msgspec.Struct, frozen=True):
+    """A figure over rounds."""
+
+    median: float
+    min: float
+    max: float
+
+    @property
+    def told(self) -> str:
+        """The three, as a cell."""
+        return f"{cell(self.median)} ({cell(self.min)} to {cell(self.max)})"
+
+
+class Watching(msgspec.Struct, frozen=True):
+    """What is shown of `bench.watching`; way of watching -> figure -> spread over rounds."""
+
+    graph: str
+    frames: int
+    n: int
+    summary: dict[str, dict[str, Spread]]
+
+
+SHAPES: Mapping[str, type[msgspec.Struct]] = {"follow": Ends, "soak": Soak, "watching": Watching}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +108,7 @@ class Place:
 PLACES = {
     "loop": Place(section="Time and transport", order=2, title="The loop"),
     "bus": Place(section="Time and transport", order=4, title="One hop"),
+    "watching": Place(section="Time and transport", order=3, title="What watching costs"),
     "usb": Place(
         section="Time and transport", order=5,
         title="The paper's two streams over the USB driver and through the graph",
@@ -124,6 +149,14 @@ PLACES = {
     "rules": Place(
         section="Tracking under a pixel budget", order=31,
         title="Each rule of the policies left out once",
+    ),
+    "reading": Place(
+        section="Reading under a pixel budget", order=1,
+        title="Texts of a street that a frozen reader transcribes, by strategy and budget",
+    ),
+    "manipulation": Place(
+        section="Manipulation under a pixel budget", order=1,
+        title="A robot's insertion by a frozen consumer, by strategy and budget",
     ),
     "crash": Place(section="Faults, swaps and long runs", order=1, title="SIGKILL under load"),
     "chaos": Place(section="Faults, swaps and long runs", order=3, title="Random faults"),
@@ -234,6 +267,18 @@ def _soak(report: Report) -> list[str]:
     return [verdict, table(columns, memory), *_spans(report.values.get("overlap", {}))]
 
 
+def _watching(report: Report) -> list[str]:
+    """Return Markdown of how the graph ran by how it was watched: median (least to greatest)."""
+    found = msgspec.convert(report.values, Watching)
+    columns = list(dict.fromkeys(name for row in found.summary.values() for name in row))
+    rows = [
+        [how, *(row[name].told if name in row else "–" for name in columns)]
+        for how, row in sorted(found.summary.items(), key=lambda item: item[1]["p50_ms"].median)
+    ]
+    about = f"{found.n} rounds of {found.frames} frames of {found.graph}; the order is random."
+    return [about, table(["watched by", *(name.replace("_", " ") for name in columns)], rows)]
+
+
 def _spans(values: Mapping[str, Any]) -> list[str]:
     parts = ("first", "last", "grown")
     rows = [
@@ -262,12 +307,33 @@ def _tables(values: Mapping[str, Any]) -> list[str]:
 
 
 def _is_rows(value: Any) -> bool:
-    """Whether a value is a list of flat mappings."""
-    plain = (str, int, float, type(None))
+    """Whether a value is a list of mappings to single figures."""
     return bool(value) and isinstance(value, list) and all(
-        isinstance(row, Mapping) and row and all(isinstance(v, plain) for v in row.values())
+        isinstance(row, Mapping) and row and all(isinstance(v, PLAIN) for v in row.values())
         for row in value
     )  # fmt: skip
+
+
+def _strategies(report: Report) -> list[str]:
+    """Return Markdown of a report of `fovea eval`: intervals as text, single trials left out."""
+    told = [_of_strategy(row) for row in report.values.get("rows", ())]
+    names = dict.fromkeys(name for row in told for name in row)
+    rows = [{name: row.get(name) for name in names} for row in told]
+    return _values(replace(report, values={**report.values, "rows": rows}))
+
+
+def _of_strategy(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in row.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            found |= _of_strategy(value, f"{name}: ")
+        elif isinstance(value, list):
+            if len(value) <= LONGEST_INTERVAL:
+                found[name] = " to ".join(cell(part) for part in value)
+        else:
+            found[name] = value
+    return found
 
 
 def _scalars(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -285,4 +351,7 @@ def _scalars(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
             yield name, value
 
 
-FORMS: Mapping[str, Callable[[Report], list[str]]] = {"follow": _follow, "soak": _soak}
+FORMS: Mapping[str, Callable[[Report], list[str]]] = {
+    "follow": _follow, "soak": _soak, "watching": _watching,
+    "reading": _strategies, "manipulation": _strategies,
+}  # fmt: skip

@@ -1,8 +1,8 @@
 """Act by action chunks: context, ROI and joints -> the targets of the next steps.
 
-The network reads one picture, in which what the ROI shows lies over the enlarged context, and tells
-the targets of the next 100 steps. Those that successive chunks tell of a step are averaged
-(temporal ensembling).
+The network reads one picture, in which what the ROI shows lies over the enlarged context and stays
+there until the context changes, and tells the targets of the next 100 steps. Those that successive
+chunks tell of a step are averaged (temporal ensembling).
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,11 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.robot import Joints
 from operators.manipulation.ensemble import Ensemble, EnsembleState
+from operators.manipulation.memory import MemoryState, SharpMemory
 from operators.manipulation.network import ActNetwork
-from operators.manipulation.picture import composite
+from operators.manipulation.picture import covered, shown
 from pipeline import Frame, Header, Input, MessageError, Operator, Percept, SettingsError
 from pipeline.providers import NetworkSettings
 
@@ -29,7 +31,9 @@ class ActionChunkingSettings(NetworkSettings):
 
     weights: str = ""  # an ONNX file; empty: the shipped one
     decay: float = 0.01  # of the weights of chunks, from the oldest on
-    ahead: int = 16  # steps told in one message: those after the first are for frames left out
+    ahead: int = 100  # steps told in one message: those after the first are for frames left out
+    change_levels: float = 6.0  # of 255, between contexts, over which what the ROI showed there is
+    # no longer kept; 0: nothing is kept
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -37,6 +41,16 @@ class ActionChunkingSettings(NetworkSettings):
             raise SettingsError(f"decay: expected 0 to 10, got {self.decay}")
         if not 1 <= self.ahead <= MOST_AHEAD:
             raise SettingsError(f"ahead: expected 1 to {MOST_AHEAD}, got {self.ahead}")
+        if not 0 <= self.change_levels <= 255:
+            raise SettingsError(f"change_levels: expected 0 to 255, got {self.change_levels}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionChunkingState:
+    """What a successor takes over."""
+
+    ensemble: EnsembleState
+    memory: MemoryState
 
 
 class ActionChunking(Operator[ActionChunkingSettings, Percept]):
@@ -56,10 +70,12 @@ class ActionChunking(Operator[ActionChunkingSettings, Percept]):
         """Load the network; raises `WeightsError`."""
         self._network = network_of(self.settings)
         self._ensemble = Ensemble(self.settings.decay)
+        self._memory = SharpMemory(self.settings.change_levels)
 
     def on_stream(self, header: Header) -> None:
-        """Forget what was told of another stream."""
+        """Forget what was told and seen of another stream."""
         self._ensemble = Ensemble(self.settings.decay)
+        self._memory.forget()
 
     def on_context_roi_joints(self, context: Frame, roi: Frame, joints: Joints) -> Percept:
         """Return the targets of this frame and of those after it."""
@@ -70,8 +86,7 @@ class ActionChunking(Operator[ActionChunkingSettings, Percept]):
                     "operators.downsample:Downsample before it"
                 )
         net, seq = self._network, context.header.seq
-        picture = composite((context, roi), net.workplace, net.picture_px)
-        self._ensemble.add(seq, net(picture, joints.positions))
+        self._ensemble.add(seq, net(self._picture(context, roi), joints.positions))
         targets = self._ensemble.targets(seq, self.settings.ahead)
         return Percept(
             header=context.header,
@@ -81,13 +96,22 @@ class ActionChunking(Operator[ActionChunkingSettings, Percept]):
             action=targets.reshape(-1),
         )
 
-    def state(self) -> EnsembleState:
-        """Return the chunks that still count."""
-        return self._ensemble.state()
+    def _picture(self, context: Frame, roi: Frame) -> NDArray[np.uint8]:
+        """What the network is shown of an exposure."""
+        where = self._network.workplace, self._network.picture_px
+        both = shown((context, roi), *where)
+        if not (context.pixels.size and roi.pixels.size):
+            return both
+        return self._memory.add(shown((context,), *where), both, covered(roi, *where))
+
+    def state(self) -> ActionChunkingState:
+        """Return the chunks that still count, and what was seen."""
+        return ActionChunkingState(ensemble=self._ensemble.state(), memory=self._memory.state())
 
     def restore(self, state: Any) -> None:
-        """Take over the chunks of another instance, unless they are of other joints."""
-        self._ensemble.restore(state)
+        """Take over the chunks and pictures of another instance."""
+        self._ensemble.restore(state.ensemble)
+        self._memory.restore(state.memory)
 
     def summary(self) -> dict[str, str]:
         """What the network runs on."""

@@ -19,7 +19,7 @@ WORKPLACE: Region = (0.2, 0.36667, 0.8, 0.76667)  # where the grippers meet the 
 PICTURE_PX = (240, 120)  # width, height
 
 
-def composite(
+def shown(
     frames: Iterable[Frame], workplace: Region = WORKPLACE, size_px: tuple[int, int] = PICTURE_PX
 ) -> NDArray[np.uint8]:
     """Return the picture (h, w, 3) RGB of frames of one exposure, later ones on top.
@@ -34,6 +34,18 @@ def composite(
             pixels = np.asarray(frame.pixels, np.uint8)
             place(pixels, frame.window, (grid.width_px, grid.height_px), out, workplace)
     return out
+
+
+def covered(
+    frame: Frame, workplace: Region = WORKPLACE, size_px: tuple[int, int] = PICTURE_PX
+) -> NDArray[np.bool_]:
+    """Return where (h, w) a frame lies in the picture."""
+    grid, (width, height) = frame.header.geometry, size_px
+    out = np.zeros((height, width, 3), np.uint8)
+    if frame.pixels.size:
+        white = np.full((1, 1, 3), 255, np.uint8)
+        place(white, frame.window, (grid.width_px, grid.height_px), out, workplace)
+    return out[..., 0] > 0
 
 
 def place(

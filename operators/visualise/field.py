@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.boxes import centres
+from pipeline.boxes import centres, iou
 from pipeline.messages import RoiSchedule, Tracks
 
 Colours = NDArray[np.uint8]  # (n, 3) RGB
@@ -23,6 +23,7 @@ MOST_RIMS = 4  # of a plan's windows, from the first to the last; all of them wo
 SURE_SCORE = 0.4  # from which a track has its full colour
 INSET = 0.125  # of a window's width: where its number is, from the corner
 DASHES = 3  # on each side of a box
+SAME_IOU = 0.2  # of an answer with a track, from which it is drawn
 SAME_SHARE = 0.05  # of a window's width: planned windows no further apart have one number
 
 
@@ -67,6 +68,20 @@ def dashed(boxes: NDArray[np.float32]) -> Strips:
     following = np.roll(corners, -1, axis=1)
     at = np.arange(2 * DASHES, dtype=np.float32).reshape(DASHES, 2, 1) / (2 * DASHES - 1)
     return np.asarray(corners + (following - corners) * at, np.float32).reshape(-1, 2, 2)
+
+
+def on_tracks(boxes: NDArray[np.float32], tracks: Tracks | None) -> NDArray[np.intp]:
+    """Return which of the boxes (n, 4) lie on a track, the best one of each.
+
+    A reader tells what it read long ago, too, where it thinks that is by now. Without tracks: all.
+    """
+    if tracks is None:
+        return np.arange(len(boxes))
+    overlaps = iou(tracks.boxes[:, -1], boxes)
+    if not overlaps.size:
+        return np.zeros(0, np.intp)
+    best = overlaps.argmax(1)
+    return np.unique(best[overlaps.max(1) >= SAME_IOU])
 
 
 class Planned(NamedTuple):

@@ -7,7 +7,7 @@ never in the graph. Everything on the field is drawn in sensor pixels, under `se
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,10 @@ from operators.visualise.events import Events
 from operators.visualise.figures import LoopLatency, PixelsRead, Target, latencies, stages
 from operators.visualise.pictures import encoded, jpeg, jpeg_within, same_window
 from operators.visualise.raster import PAST_FRAMES, ScanpathRaster
-from operators.visualise.screen import BOLD, RIM, Screen
 from pipeline.boxes import centres
 from pipeline.contract import INCOMPLETE, Input, Operator
 from pipeline.errors import RunError, SettingsError
+from pipeline.extras import LateModule, need
 from pipeline.messages import (
     Detections,
     Frame,
@@ -32,6 +32,11 @@ from pipeline.messages import (
     Tracks,
     Truth,
 )
+
+if TYPE_CHECKING:
+    from operators.visualise import screen
+else:  # it needs the extra `view`
+    screen = LateModule("operators.visualise.screen")
 
 TRAIL_FRAMES = 30
 CELL = (4, 15)  # of the raster, width and height
@@ -88,7 +93,14 @@ class Visualise(Operator[VisualiseSettings, None]):
     percept = Input(Percept, join=False, optional=True, tap=True)
     truth = Input(Truth, join=False, optional=True, tap=True)
 
-    _screen: Screen | None = None
+    _screen: "screen.Screen | None" = None
+    _tracks: Tracks | None = None  # the newest
+
+    @classmethod
+    def advise(cls, settings: VisualiseSettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """Nothing; raises `InstallError` without Rerun."""
+        need("rerun", "visualise")
+        return ()
 
     def open(self) -> None:
         """Open the file, the connection or the server; raises `RunError` when that fails."""
@@ -98,7 +110,7 @@ class Visualise(Operator[VisualiseSettings, None]):
             raise SettingsError("visualise.save: expected save, connect or serve, got none")
         self._begin()
         self._windows, self._has_full = {"roi"}, False
-        self._screen = Screen(s.save, s.connect, (s.port, s.web_port) if s.serve else None)
+        self._screen = screen.Screen(s.save, s.connect, (s.port, s.web_port) if s.serve else None)
 
     def state(self) -> None:
         """Return None: trails and figures grow again."""
@@ -111,8 +123,8 @@ class Visualise(Operator[VisualiseSettings, None]):
 
     def close(self) -> None:
         """Flush the recording and end the server; raises `RunError` if data was lost."""
-        screen, self._screen = self._screen, None
-        if screen is not None and (late := screen.close()):
+        own, self._screen = self._screen, None
+        if own is not None and (late := own.close()):
             raise RunError(f"visualise.save: {late}")
 
     def do_note(self, lines: tuple[str, ...] = (), drops: Mapping[str, int] | None = None) -> None:
@@ -178,6 +190,7 @@ class Visualise(Operator[VisualiseSettings, None]):
     def on_tracks(self, tracks: Tracks) -> None:
         """Boxes in the colours of their classes, where they are foreseen, the target by name."""
         self._grow_trails(tracks)
+        self._tracks = tracks
         row, in_roi = self._target.row(tracks), self._target.in_roi(tracks)
         if len(self._names) > MOST_NAMES:
             self._names.clear()
@@ -197,7 +210,7 @@ class Visualise(Operator[VisualiseSettings, None]):
         chosen = ~others
         out.boxes(
             "sensor/target", boxes[chosen], field.full(colours[chosen]),
-            labels[row : row + 1] if row >= 0 else (), radius=BOLD, named=True,
+            labels[row : row + 1] if row >= 0 else (), radius=screen.BOLD, named=True,
         )  # fmt: skip
         if in_roi is not None:
             out.value("figures/target/in_roi", in_roi)
@@ -248,10 +261,12 @@ class Visualise(Operator[VisualiseSettings, None]):
         overlap = self._target.overlap(percept)
         if not self._wanted(percept, "percept"):
             return
-        labels = [f"{score:.2f}" for score in percept.scores]
+        boxes, labels = percept.boxes, [f"{score:.2f}" for score in percept.scores]
         read = len(percept.texts) == len(labels) and bool(labels)
-        labels = list(percept.texts) if read else labels
-        self._out.boxes("sensor/percept", percept.boxes, field.RED, labels, named=read)
+        if read:
+            rows = field.on_tracks(boxes, self._tracks)
+            boxes, labels = boxes[rows], [percept.texts[row] for row in rows]
+        self._out.boxes("sensor/percept", boxes, field.RED, labels, named=read)
         if overlap is not None:
             self._out.value("figures/target/iou", overlap)
         if percept.texts:
@@ -260,7 +275,7 @@ class Visualise(Operator[VisualiseSettings, None]):
             self._out.value("action", *map(float, percept.action))
 
     @property
-    def _out(self) -> Screen:
+    def _out(self) -> "screen.Screen":
         if self._screen is None:
             raise RunError("visualise: expected to be open, got a message before that")
         return self._screen
@@ -271,6 +286,7 @@ class Visualise(Operator[VisualiseSettings, None]):
         self._loop, self._pixels, self._target = LoopLatency(), PixelsRead(), Target()
         self._raster, self._events = ScanpathRaster(), Events()
         self._names = dict[int, str]()  # of the tracks
+        self._tracks = None
         self._start_ns: int | None = None
         self._contexts: list[Frame | None] = [None, None]  # the newest two
         self._rois: dict[str, Frame] = {}  # the newest of each window
@@ -293,7 +309,7 @@ class Visualise(Operator[VisualiseSettings, None]):
         self._out.lay_out(len(self._windows), size_px, full=self._has_full)
         self._picture(f"sensor/{name}", frame, 10)
         rim = np.array([frame.window] if frame.pixels.size else [], np.float32)
-        self._out.boxes(f"sensor/{name}_rim", rim, field.YELLOW, [frame.status], radius=RIM)
+        self._out.boxes(f"sensor/{name}_rim", rim, field.YELLOW, [frame.status], radius=screen.RIM)
         for context in self._contexts:
             self._draw_same_window(name, context, frame)
         for what, percent in read.items():

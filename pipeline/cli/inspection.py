@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 
 import click
+import msgspec
 from rich.live import Live
 
 from pipeline import terminal
@@ -23,6 +24,7 @@ from pipeline.cli.detached import ended_line
 from pipeline.client import detached, listening
 from pipeline.client import find as clients
 from pipeline.client.graph_client import GraphClient, Status
+from pipeline.client.live_figures import live_figures
 from pipeline.errors import RunError
 from pipeline.protocol.codec import fields_of
 from pipeline.renamed import renamed_option
@@ -59,14 +61,15 @@ def ps(as_json: bool) -> None:
 @click.option("--every-s", default=1.0, type=INTERVAL_S, show_default=True)
 @JSON
 def top(graph: str | None, once: bool, every_s: float, as_json: bool) -> None:
-    """Watch rates, latencies, drops and back-pressure of a running graph."""
+    """Watch rates, latencies, drops, back-pressure, CPU and memory of a running graph."""
     client = clients.find(graph or "")
     looks = _looks(client, every_s)
     if once:
         looks = itertools.islice(looks, 1)
     if as_json:
-        for status, _before, _seconds in looks:
-            print_json(status, compact=not once)
+        for now, before, seconds in looks:
+            figures = live_figures(before, now, seconds)
+            print_json({**msgspec.structs.asdict(now), "live": figures}, compact=not once)
         return
     console = terminal.console()
     found = (tables.top_tables(before, now, seconds) for now, before, seconds in looks)

@@ -1,4 +1,4 @@
-"""`fovea run | draw`: load a graph file with overlays, and run or draw it."""
+"""`fovea run`: load a graph file with overlays, and run it."""
 
 import json
 import sys
@@ -16,7 +16,6 @@ from pipeline.cli.files import try_recording, try_report, write_report
 from pipeline.cli.overlaid import GRAPH, load_overlaid, overlaid
 from pipeline.client.detached import WORDS
 from pipeline.contract import INCOMPLETE
-from pipeline.graph.drawing import listing, mermaid
 from pipeline.run.reaper import Reaper
 from pipeline.run.report import Report, print_report
 from pipeline.run.rundir import folder_of
@@ -108,6 +107,7 @@ def _detach(given: Mapping[str, Any], *, as_json: bool) -> None:
     options = {
         "--source": given["source"], "--clock": given["clock"], "--frames": given["frames"],
         "--duration-s": given["duration_s"], "--save": given["save"], "--report": given["report"],
+        "--settings": given["settings"],
     }  # fmt: skip
     words = [f"{name}={value}" for name, value in options.items() if value is not None]
     words += [f"--set={change}" for change in given["changes"]]
@@ -122,13 +122,3 @@ def _detach(given: Mapping[str, Any], *, as_json: bool) -> None:
         f"{graph}: runs, process {pid}, prints to {file}\n"
         f"look at it: fovea attach {graph}; end it: fovea stop {graph}"
     )
-
-
-@click.command()
-@GRAPH
-@overlaid
-@click.option("--text", is_flag=True, help="Lines for a terminal: types, load policies, hosts.")
-def draw(graph: Path, text: bool, **laid: Any) -> None:
-    """Print the graph as a Mermaid flow chart, or as lines of text."""
-    plan = load_overlaid(graph, **laid)
-    click.echo(listing(plan) if text else mermaid(plan))

@@ -8,11 +8,13 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.client.graph_client import Said, Status
-from pipeline.protocol.fleet import EdgeState, HostState, NodeState, State
+from pipeline.client.live_figures import Loop, live_figures, name_of
+from pipeline.protocol.fleet import EdgeState, HostState, NodeState, Process, State
 from pipeline.protocol.questions import Health, NodeSettings
 from pipeline.terminal import brief, lean_table, losses, pair, rest
 
 LOST = "lost"
+BAR = 30  # characters of a budget
 Cell = str | Text
 
 
@@ -52,8 +54,11 @@ def process_table(found: Iterable[Status]) -> Table:
 
 
 def top_tables(before: Status, now: Status, seconds: float) -> Group:
-    """Return tables of edges, nodes and, if there are several, hosts, with rates since `before`."""
-    several = any(now.hosts)
+    """Return the loop's budget, and tables of edges, nodes, processes and, if several, hosts.
+
+    Rates and processor time are those since `before`.
+    """
+    several, live = any(now.hosts), live_figures(before, now, seconds)
     where = ["host"] if several else []
     edges = lean_table(
         "edges, p50", names=("from", "to", *where),
@@ -67,24 +72,51 @@ def top_tables(before: Status, now: Status, seconds: float) -> Group:
     )  # fmt: skip
     clocks = ("round trip", "its clock is ahead")
     hosts = lean_table("hosts", names=("host", "sees"), words=("",), figures=clocks)
+    processes = lean_table(
+        "processes", names=("process", *where), words=("nodes",),
+        figures=("CPU %", "RSS MB", "restarts", "crashes"),
+        spare=("crashes", "nodes", *where, "restarts"),
+    )  # fmt: skip
     told: list[Text] = []
-    earlier = _sent(before)
     for label, said in now.hosts.items():
         here = [label] if several else []
         if isinstance(said, str):
             _add(hosts, label, "", _red(LOST), "", "")
         for state in () if isinstance(said, str) else said:
             for edge in state.edges:
-                rate = (edge.sent - earlier.get((label, edge.end), edge.sent)) / seconds
+                rate = live.edge_hz.get(name_of(label, edge.end), 0.0)
                 _add(edges, edge.origin, edge.end, *here, *_edge_cells(edge, rate))
                 told += losses(edge.origin, edge.end, edge.account, broken=edge.broken)
             for node in state.nodes:
                 _add(nodes, node.name, *here, *_node_cells(node))
+            for process in state.processes:
+                percent = live.cpu_percent.get(name_of(label, process.name))
+                _add(processes, process.name, *here, *_process_cells(process, percent))
             for other in state.hosts:
                 _add(hosts, *_host_cells(label, other))
         for name in absent(said, nodes_of(now.nodes, label)):
             _add(nodes, name, *here, _red(condition(said)), *[""] * 5)
-    return Group(edges, *told, nodes, *([hosts] if several else []))
+    above = loop_lines(live.loop) if live.loop else []
+    return Group(*above, edges, *told, nodes, processes, *([hosts] if several else []))
+
+
+def loop_lines(loop: Loop) -> list[Text]:
+    """Return the loop's percentiles, each as a bar of its budget; red: over it."""
+    lines = []
+    for name, latency_ms in loop.latency_ms.items():
+        budget_ms = loop.budget_ms.get(name)
+        if budget_ms is None:
+            lines.append(Text(f"loop {name} {brief(latency_ms)} ms"))
+            continue
+        full = min(BAR, round(BAR * latency_ms / budget_ms))
+        over = latency_ms > budget_ms
+        lines.append(
+            Text.assemble(
+                f"loop {name} ", ("█" * full, "red" if over else "green"), "░" * (BAR - full),
+                f" {brief(latency_ms)} of {brief(budget_ms)} ms{', over its budget' * over}",
+            )
+        )  # fmt: skip
+    return lines
 
 
 def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:
@@ -134,15 +166,6 @@ def live_line(status: Status) -> str:
         *([f"lost: {', '.join(silent)}"] if silent else []),
     ]
     return "  ".join(parts)
-
-
-def _sent(status: Status) -> dict[tuple[str, str], int]:
-    return {
-        (label, edge.end): edge.sent
-        for label, said in status.hosts.items()
-        for state in (() if isinstance(said, str) else said)
-        for edge in state.edges
-    }
 
 
 def _process_rows(label: str, said: Said, nodes: Sequence[str]) -> Iterator[tuple[Cell, ...]]:
@@ -196,6 +219,13 @@ def _node_cells(node: NodeState) -> tuple[Cell, ...]:
     return (
         node.condition, str(node.epoch), str(node.handled), str(node.last_seq),
         pair(node.handler_ms), pair(node.hop_ms),
+    )  # fmt: skip
+
+
+def _process_cells(process: Process, percent: float | None) -> tuple[Cell, ...]:
+    return (
+        ", ".join(process.nodes), "" if percent is None else f"{percent:.0f}",
+        f"{process.rss_mb:.0f}" if process.pid else "", str(process.restarts), str(process.crashes),
     )  # fmt: skip
 
 

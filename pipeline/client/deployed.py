@@ -170,13 +170,12 @@ class DeployedGraph(GraphClient):
     def logs(self, node: str, lines: int, *, follow: bool = False) -> Iterator[str]:
         """Yield the last lines of a node's log, then new ones if `follow`."""
         with self._log_way(node) as (fleet, label):
-            seen = self._log(fleet, label, node, FOLLOWED if follow else lines)
-            yield from seen[-lines:] if lines else ()
+            told = self._log(fleet, label, wire.Lines(self.name, node, lines))
+            yield from told.lines
             while follow:
                 time.sleep(FOLLOW_S)
-                now = self._log(fleet, label, node, FOLLOWED)
-                yield from now[_overlap(seen, now) :]
-                seen = now
+                told = self._log(fleet, label, wire.Lines(self.name, node, FOLLOWED, told.end))
+                yield from told.lines
 
     def listen(self, output: str) -> Listener:
         """Return a tap on `node` or `node.output`; raises `RunError` for an unknown output."""
@@ -220,8 +219,8 @@ class DeployedGraph(GraphClient):
         asked = wire.ToNode(self.name, node, question)
         return fleet.ask(label, "node", asked, wire.Relayed, ASK_S).payload
 
-    def _log(self, fleet: Fleet, label: str, node: str, lines: int) -> tuple[str, ...]:
-        return fleet.ask(label, "log", wire.Lines(self.name, node, lines), wire.Log).lines
+    def _log(self, fleet: Fleet, label: str, asked: wire.Lines) -> wire.Log:
+        return fleet.ask(label, "log", asked, wire.Log)
 
     @contextmanager
     def _log_way(self, node: str) -> Iterator[tuple[Fleet, str]]:
@@ -250,16 +249,3 @@ def send_files(fleet: Fleet, label: str, files: Mapping[str, Any]) -> None:
     """Send a host those of the files that it accepts and lacks."""
     lacking = fleet.ask(label, "lacks", wire.Lacks(tuple(files)), wire.Missing).digests
     send_weights(fleet, label, lacking, files)
-
-
-def _overlap(seen: tuple[str, ...], now: tuple[str, ...]) -> int:
-    """Return how many of the first lines in `now` were seen before.
-
-    >>> _overlap(("a", "b", "c"), ("b", "c", "d")), _overlap(("c",), ("a", "b", "c", "d"))
-    (2, 3)
-    """
-    for end in range(len(now), 0, -1):
-        count = min(end, len(seen))
-        if count and now[end - count : end] == seen[-count:]:
-            return end
-    return 0

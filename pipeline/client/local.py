@@ -4,7 +4,7 @@ import itertools
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -119,7 +119,10 @@ class LocalGraph(GraphClient):
         facts = self.facts
         wanted = edit(adapter(Plan).validate_python(facts["plan"]))
         order = PlanOrder(plan=wanted, revision=facts["revision"])
-        return of_kind(TopologyResult, self.tell(order))
+        result = of_kind(TopologyResult, self.tell(order))
+        with suppress(RunError):  # it may have ended since
+            self._facts = self.facts  # the graph wrote down its nodes before it answered
+        return result
 
     def add(self, file: Path) -> TopologyResult:
         """Add the nodes of a file; operators are also searched for where the graph was started."""

@@ -45,7 +45,7 @@ from pipeline.naming import check_name
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import ControlMessage, decode
 from pipeline.protocol.fleet import Named, Prepare, Prepared, Start
-from pipeline.run.logs import log_lines
+from pipeline.run.logs import log_part
 from pipeline.run.reaper import Reaper
 
 MOST_GRAPHS = 8
@@ -220,8 +220,9 @@ class Agent:
         asked = decode(wire.Lines, data)
         hosted = self._hosted(asked.graph)
         check_here(hosted, asked.node)
-        count = max(1, min(asked.count, MOST_LINES))
-        return wire.Log(tuple(log_lines(hosted.folder, asked.node, count, follow=False)))
+        count = max(0, min(asked.count, MOST_LINES))
+        begin = None if asked.begin is None else max(0, asked.begin)
+        return wire.Log(*log_part(hosted.folder, asked.node, count, begin))
 
     def _weights(self, data: bytes) -> wire.Accepted:
         return wire.Accepted(self._allowed.keep(data))

@@ -1,6 +1,6 @@
 """Overlays from the command line on a graph file: another source, single values, manual nodes."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from pipeline.contract import Source, settings_of
 from pipeline.errors import GraphError
 from pipeline.graph.plan import load_operator
 from pipeline.graph.spec import GraphSpec, NodeSpec, graph_spec
-from pipeline.graph.yaml_lines import YamlFile, kind_of
+from pipeline.graph.yaml_lines import YamlFile, kind_of, plain
 from pipeline.graph.yaml_reader import YamlMapping, read_text
 from pipeline.naming import LONGEST_NAME
 from pipeline.settings import suggest
@@ -70,6 +70,14 @@ def source_document(path: Path) -> YamlFile:
             what = f"source.instead.{shown_key(origin)}: expected a node or node.output, got "
             over.fail(over.document["instead"], origin, what + kind_of(target))
     return over
+
+
+def read_settings(path: Path) -> Iterator[tuple[str, str, Any]]:
+    """Yield node, setting and value of a file of settings by node; raises `GraphError`."""
+    file = YamlFile(path)
+    for node in file.document:
+        for setting, value in file.mapping(file.document, node, "settings").items():
+            yield str(node), str(setting), plain(value)
 
 
 def read_change(change: str) -> tuple[str, str, Any]:

@@ -78,17 +78,19 @@ class Named(ControlMessage, frozen=True):
 
 
 class Lines(ControlMessage, frozen=True):
-    """Ask for the last lines of a node's log."""
+    """Ask for the last lines of a node's log, or for those from a byte on."""
 
     graph: str
     node: str
     count: int = 40
+    begin: int | None = None
 
 
 class Log(ControlMessage, frozen=True):
-    """The last lines of a node's log."""
+    """Lines of a node's log, and the byte behind them."""
 
     lines: tuple[str, ...]
+    end: int
 
 
 class ToNode(ControlMessage, frozen=True):

@@ -1,5 +1,6 @@
 """Logs of a graph's nodes, also after the graph has ended."""
 
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,6 +10,8 @@ from pipeline.naming import is_name
 from pipeline.private_folder import PrivateFolder
 from pipeline.run.rundir import folder_of, running
 from pipeline.text import harmless
+
+MOST_BYTES = 1 << 20  # read at once
 
 
 def log_lines(graph: str, node: str, lines: int, *, follow: bool) -> Iterator[str]:
@@ -21,6 +24,26 @@ def log_lines(graph: str, node: str, lines: int, *, follow: bool) -> Iterator[st
                 yield line.rstrip("\n")
             else:
                 time.sleep(0.2)
+
+
+def log_part(
+    graph: str, node: str, count: int, begin: int | None = None
+) -> tuple[tuple[str, ...], int]:
+    """Return up to `count` whole lines of a node's log, and the byte behind them.
+
+    They are those from byte `begin` on, or else the last ones. A log that has become shorter is
+    read from its beginning.
+    """
+    with _log_path(graph, node).open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        start = max(0, size - MOST_BYTES) if begin is None else begin if begin <= size else 0
+        file.seek(start)
+        rows = file.read(MOST_BYTES).splitlines(keepends=True)
+    if rows and not rows[-1].endswith(b"\n") and len(rows[-1]) < MOST_BYTES:
+        del rows[-1]  # it is still written
+    kept = rows[max(0, len(rows) - count) :] if begin is None else rows[:count]
+    end = start + sum(map(len, rows if begin is None else kept))
+    return tuple(row.decode(errors="replace").rstrip("\n") for row in kept), end
 
 
 def _log_path(graph: str, node: str) -> Path:

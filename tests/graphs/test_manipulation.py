@@ -40,7 +40,7 @@ def test_the_loop_closes_over_arms_and_sensor(tmp_path: Path) -> None:
     assert truth.labels == ("peg", "socket", "left gripper", "right gripper")
     percept, joints = seen["manipulation.out"][-1], seen["robot.joints"]
     assert isinstance(percept, Percept)
-    assert percept.action.shape == (16 * 14,)
+    assert percept.action.shape == (100 * 14,)  # the whole chunk
     first, last = joints[0], joints[-1]
     assert isinstance(first, Joints)
     assert isinstance(last, Joints)

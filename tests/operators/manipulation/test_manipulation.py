@@ -86,6 +86,21 @@ def test_the_roi_lies_over_the_context(tmp_path: Path) -> None:
     np.testing.assert_allclose(answer.action, 0.25, atol=1e-6)
 
 
+@pytest.mark.parametrize(("levels", "second"), [(6.0, 0.5), (0.0, 0.25)])
+def test_what_the_roi_showed_stays_in_the_picture_if_so_set(
+    tmp_path: Path, levels: float, second: float
+) -> None:
+    weights = network(tmp_path / "act.onnx")
+    subject = consumer(weights, ahead=1, decay=0.0, change_levels=levels)
+    white = np.full((4, 4, 3), 255, np.uint8)
+    for seq, window in enumerate([(0, 0, 32, 16), (32, 16, 64, 32)]):
+        given = exposure(seq, 0)
+        roi = Frame(header=given["roi"].header, pixels=white, window=window)
+        answer = subject.on_context_roi_joints(**(given | {"roi": roi}))
+
+    np.testing.assert_allclose(answer.action, (0.25 + second) / 2, atol=1e-6)
+
+
 def test_a_successor_goes_on_with_the_chunks_and_another_stream_without(tmp_path: Path) -> None:
     weights = network(tmp_path / "act.onnx")
     first, second = consumer(weights), consumer(weights)

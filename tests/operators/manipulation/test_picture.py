@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from operators.manipulation.picture import composite, place
+from operators.manipulation.picture import place, shown
 from pipeline import Frame, Geometry, Header
 
 FIELD = 64, 48
@@ -25,7 +25,7 @@ def field(seed: int) -> NDArray[np.uint8]:
 def test_a_picture_of_the_field_at_its_size_is_the_frame_itself() -> None:
     pixels = field(1)
 
-    np.testing.assert_array_equal(composite([frame(pixels, (0, 0, *FIELD))], WHOLE, FIELD), pixels)
+    np.testing.assert_array_equal(shown([frame(pixels, (0, 0, *FIELD))], WHOLE, FIELD), pixels)
 
 
 @given(st.integers(0, 48), st.integers(0, 36), st.integers(1, 16), st.integers(1, 12))
@@ -36,7 +36,7 @@ def test_a_window_at_full_resolution_lies_over_the_context_and_touches_nothing_e
     roi = pixels[top : top + height, left : left + width]
     window = (left, top, left + width, top + height)
 
-    found = composite([frame(context, (0, 0, *FIELD)), frame(roi, window)], WHOLE, FIELD)
+    found = shown([frame(context, (0, 0, *FIELD)), frame(roi, window)], WHOLE, FIELD)
 
     np.testing.assert_array_equal(found[top : top + height, left : left + width], roi)
     found[top : top + height, left : left + width] = 7
@@ -57,6 +57,6 @@ def test_frames_without_pixels_and_windows_outside_change_nothing() -> None:
     empty = frame(np.zeros((0, 0, 3), np.uint8), (0, 0, 0, 0))
     outside = frame(np.full((4, 4, 3), 9, np.uint8), (0, 0, 4, 4))
 
-    found = composite([empty, outside], (0.5, 0.5, 1, 1), (16, 12))
+    found = shown([empty, outside], (0.5, 0.5, 1, 1), (16, 12))
 
     assert not found.any()

@@ -1,5 +1,6 @@
 """Messages -> a Rerun recording that can be read back."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from operators.visualise.pictures import jpeg_within
 from operators.visualise.visualise import MOST_FULL_PX
 from pipeline import Frame, MessageError, Percept, RunError, SettingsError
 from pipeline.commands import carry_out
+from pipeline.errors import InstallError
 from pipeline.testing import drive, header, picture
 from tests.operators.visualise.exposures import BOX, HALF, ONE, exposure, part, traced
 
@@ -194,6 +196,19 @@ def test_the_box_of_a_lost_object_is_removed(tmp_path):
     assert [len(b) for b in boxes] == [1, 0]
 
 
+def test_a_text_is_drawn_where_something_is_tracked_only(tmp_path):
+    path = tmp_path / "seen.rrd"
+    elsewhere = BOX + 40
+    both = np.concatenate([BOX, elsewhere])
+    told = {"ids": np.arange(2, dtype=np.int32), "scores": np.ones(2, np.float32)}
+    read = Percept(header=header(0), boxes=both, texts=("HERE", "GONE"), **told)
+
+    drive(Visualise, [{"tracks": part(0, "tracks")}, {"percept": read}], {"save": str(path)})
+
+    chunks = list(RrdReader(path).stream())
+    assert rows(chunks, "/sensor/percept", "Boxes2D:labels") == [["HERE"]]
+
+
 def test_times_count_from_the_start_of_the_stream(tmp_path):
     chunks = recorded(tmp_path, range(5, 8))
 
@@ -278,6 +293,13 @@ def test_an_unknown_pixel_format_is_refused():
 def test_latencies_need_a_trace_and_ages_need_a_common_clock():
     assert latencies(header()) == {}
     assert "capture/age_ms" not in latencies(replace(traced(0, "capture"), clock="edge-box"))
+
+
+def test_without_rerun_the_package_to_install_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+
+    with pytest.raises(InstallError, match=r"rerun-sdk, got none: pip install 'fovea\[view\]'"):
+        Visualise.advise(VisualiseSettings(), {})
 
 
 def test_a_destination_is_required():
