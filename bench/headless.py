@@ -27,7 +27,7 @@ OPTIONS = (
 )  # fmt: skip
 ANSWER_S = 60.0  # for one command
 MOST_BYTES = 1 << 26  # of one answer
-LEAST_BYTES = 150_000  # of a picture with something on it
+LEAST_BYTES = 120_000  # of a picture with something on it
 SETTLE_S = 8.0  # between two looks; drawing by software takes seconds
 BAR_PX = 36  # at the top, where a figure changes for ever
 
