@@ -214,7 +214,10 @@ def plot(cells: Sequence[Cell], path: Path) -> None:
             elif points:
                 marker, line = looks(k)
                 xs, ys = zip(*points, strict=True)
-                panel.plot(xs, ys, marker=marker, linestyle=line, label=strategy, linewidth=1.4)
+                panel.plot(
+                    xs, ys, marker=marker, linestyle=line, label=strategy, linewidth=1.4,
+                    color=f"C{k}",  # the same in each panel, whichever it has
+                )  # fmt: skip
         budgets = sorted({Fraction(cell.budget) for cell in own if cell.strategy != "full"})
         panel.set_xscale("log", base=2)
         panel.set_xticks([float(b) for b in budgets], [str(b) for b in budgets])

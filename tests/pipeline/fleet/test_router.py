@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from pipeline.errors import SettingsError
@@ -117,11 +118,32 @@ def test_a_graph_runs_over_the_router_and_loses_nothing(site: Site) -> None:
     assert not edge["broken"]
 
 
-def test_no_agent_listens(site: Site) -> None:
-    for label in ("eye", "brain"):
-        text = (site.folder / f"credentials/host.{label}/agent.yaml").read_text()
-        assert f'router: "{site.address}"' in text
-        assert "address:" not in text
+def test_nothing_listens_but_the_router(site: Site) -> None:
+    def ports(process: "subprocess.Popen[bytes]") -> list[int]:
+        own = psutil.Process(process.pid)
+        all_of_it = (own, *own.children(recursive=True))
+        found = [link for each in all_of_it for link in each.net_connections("inet")]
+        return [link.laddr.port for link in found if link.status == psutil.CONN_LISTEN]
+
+    router, *agents = site.started
+
+    assert [ports(agent) for agent in agents] == [[], []]
+    assert ports(router) == [int(site.address.rpartition(":")[2])]
+
+
+def test_who_is_not_on_the_routers_list_reaches_nobody(site: Site) -> None:
+    kept = {path: path.read_text() for path in site.folder.glob("credentials/*/*.yaml")}
+    site.fovea("secure", "add", "credentials", "--graph", "graph.yaml", "--user", "other")
+    for path, text in kept.items():
+        path.write_text(text)  # the authority signed them, but nobody was told
+    known = (site.folder / "credentials/user.me/addresses.json").read_text()
+    (site.folder / "credentials/user.other/addresses.json").write_text(known)
+
+    said = site.fovea(
+        "up", "graph.yaml", "--credentials", "credentials/user.other", "--replace", fails=True
+    )
+
+    assert "no agent answers through the router" in said
 
 
 def test_credentials_of_another_authority_reach_nobody(site: Site) -> None:
@@ -139,6 +161,8 @@ def test_a_router_that_was_killed_and_came_back_carries_on(site: Site) -> None:
     router = site.started.pop(0)
     router.kill()
     router.wait()
+    up = ("up", "graph.yaml", "--credentials", "credentials/user.me", "--replace")
+    assert "no agent answers through the router" in site.fovea(*up, fails=True)
     site.router()
 
     until(lambda: site.delivered() > 0)
