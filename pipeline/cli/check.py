@@ -110,11 +110,11 @@ def _print_tables(found: Examination, graph: str) -> None:
 
 def _survey(
     graph: Path | None, *, schema: bool, as_json: bool, source: Path | None,
-    changes: tuple[str, ...], clock: str | None, wanted: tuple[str, ...],
+    changes: tuple[str, ...], clock: str | None, wanted: tuple[str, ...], settings: Path | None,
 ) -> None:  # fmt: skip
     if graph is None:
         raise click.UsageError("Missing argument 'GRAPH'.")
-    if schema or changes or wanted:
+    if schema or changes or wanted or settings:
         raise click.UsageError("--no-import: goes with --source and --clock alone")
     lines = list(survey(graph, source=source, clock=clock or ""))
     if as_json:

@@ -43,7 +43,7 @@ STILL = {
     "sensors": {"kinds"},
 }
 # attach, run --detach, up, down, rewire, doctor: in the tests of their own
-ELSEWHERE = {"attach", "run", "up", "down", "rewire", "doctor"}
+ELSEWHERE = {"tune", "attach", "run", "up", "down", "rewire", "doctor"}
 
 
 @pytest.fixture

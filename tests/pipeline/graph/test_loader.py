@@ -186,8 +186,8 @@ def test_the_schema_is_json_and_knows_the_settings(tmp_path: Path) -> None:
 def test_the_drawing_shows_commands_dotted_and_lossless_edges_thick(tmp_path: Path) -> None:
     chart = mermaid(load(write(tmp_path, GOOD)))
 
-    assert "steer -.->|schedule| ticker" in chart
-    assert "ticker ==>|roi to right| pair" in chart
+    assert 'steer -.->|"schedule<br/>RoiSchedule, latest, sensor command"| ticker' in chart
+    assert 'ticker ==>|"roi to right<br/>Frame, every"| pair' in chart
 
 
 @given(st.text(max_size=200))
