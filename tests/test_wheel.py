@@ -19,7 +19,8 @@ pytestmark = pytest.mark.skipif(
 )
 ROOMS = ("pipeline", "operators", "drivers", "bench", "graphs")
 COPIED = (*ROOMS, "pyproject.toml", "README.md", "LICENSE")
-TAKEN = (".py", ".yaml", ".onnx", ".toml")  # files of the folders that belong in the wheel
+# files of the folders that belong in the wheel
+TAKEN = (".py", ".yaml", ".onnx", ".toml", ".txt", ".c")
 OWN = ("-c", "user.name=tester", "-c", "user.email=tester@localhost")
 
 

@@ -183,6 +183,10 @@ PLACES = {
         title="Generated input: graph files, orders, bytes",
     ),
     "other_user": Place(section="Several hosts and security", order=7, title="Another user"),
+    "fleet_growth": Place(
+        section="Several hosts and security", order=8,
+        title="How a deployment grows with its hosts, all of them on one machine",
+    ),
 }  # fmt: skip
 ELSEWHERE = Place(section="Time and transport", order=99, title="")
 

@@ -36,7 +36,7 @@ from pipeline.fleet.names import (
     is_routed,
     region_of,
 )
-from pipeline.fleet.placement import DIGEST_PREFIX, permitted
+from pipeline.fleet.placement import DIGEST_PREFIX, partners, permitted
 from pipeline.fleet.questions import Question, Questions
 from pipeline.fleet.relay import NodeGateway, TapRelay, check_here
 from pipeline.fleet.status import state_of
@@ -76,7 +76,8 @@ class Agent:
         self._session = Session.across(self._network(permits=permits, **self._place()))
         self._served: set[str] = set()
         for identity in self._identities:
-            self._serve(identity)
+            if not identity.startswith(host_identity("")):  # hosts: once they share a graph with it
+                self._serve(identity)
 
     def __enter__(self) -> "Agent":
         return self
@@ -301,11 +302,10 @@ class Agent:
         own = own_end_points(local, self._free_end_points(local), asked.endpoints)
         self._check_unused(local, own)
         identity = host_identity(self.label)
-        others = sorted({n.host for n in local.nodes} - {self.label})
+        others = sorted(partners(local)[self.label])
         points = {label: self._reached(label, asked.hosts[label]) for label in others}
-        if self._credentials is None:  # only agents of the same user can reach this one
-            for other in others:
-                self._serve(host_identity(other))
+        for other in others:
+            self._serve(host_identity(other))
         return HostedGraph(
             plan=local,
             ports=ports,
@@ -337,7 +337,7 @@ class Agent:
             if self._credentials and host_identity(label) not in self._identities:
                 raise RunError(f"{label} is not among the hosts that this one may contact")
             endpoint(point, "hosts")
-        others = {n.host for n in plan.nodes} - {self.label}
+        others = partners(plan).get(self.label, frozenset())
         if others - set(asked.hosts):
             raise RunError(f"{plan.name}: no address for host {min(others - set(asked.hosts))}")
         for point in asked.endpoints.values():

@@ -9,7 +9,8 @@ import getpass
 import json
 import logging
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from pipeline.fleet.placement import (
     check_labels,
     file_digest,
     is_path,
+    partners,
 )
 from pipeline.fleet.secure import ADDRESSES, Credentials
 from pipeline.graph.plan import Plan
@@ -40,6 +42,7 @@ from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import ControlMessage, decode_answer, encode
 from pipeline.whole_file import write_whole
 
+AT_ONCE = 16  # hosts asked at once; one that is silent must not delay the others
 TIMEOUT_S = 5.0  # time for an agent to answer
 DOWN_S = END_S + INSPECT_S + 5.0  # the agent may be inspecting another graph
 READY_S = 90.0
@@ -134,15 +137,24 @@ class Fleet:
 
     def states(self, graph: str = "", timeout_s: float = 1.5) -> dict[str, list[wire.State] | str]:
         """Return the states on every host, or why they are unknown."""
-        found: dict[str, list[wire.State] | str] = {}
-        for label in self.hosts.points:
+
+        def state(label: str) -> list[wire.State] | str:
             try:
                 question = wire.Named(graph)
-                answer = self.ask(label, "state", question, wire.States, timeout_s)
-                found[label] = list(answer.states)
+                return list(self.ask(label, "state", question, wire.States, timeout_s).states)
             except FoveaError as error:
-                found[label] = str(error)
-        return found
+                return str(error)
+
+        return self.each(state)
+
+    def each(self, act: Callable[[str], T], labels: Iterable[str] | None = None) -> dict[str, T]:
+        """Do something for several hosts at once, by default all; raises the first failure.
+
+        It returns when all are done, also after a failure.
+        """
+        chosen = list(self.hosts.points if labels is None else labels)
+        with ThreadPoolExecutor(AT_ONCE, thread_name_prefix="fleet") as pool:
+            return dict(zip(chosen, pool.map(act, chosen), strict=True))
 
 
 def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
@@ -152,26 +164,29 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
     plan, files = portable(plan)
     schemas = fingerprints(plan)
     question = wire.Prepare(plan, wire.Versions.ours(), schemas, again)
-    for label in used:
-        fleet.ask(label, "about", wire.Nothing(), wire.About)
-    endpoints: dict[str, str] = {}
-    for label in used:
-        endpoints.update(_prepare(fleet, label, question, files))
+    fleet.each(lambda label: fleet.ask(label, "about", wire.Nothing(), wire.About), used)
+    prepared = fleet.each(lambda label: _prepare(fleet, label, question, files), used)
+    endpoints = {name: point for said in prepared.values() for name, point in said.items()}
     points = {label: fleet.hosts.points[label] for label in used}
     before = remembered().get(plan.name)
     remember(
         plan.name, Hosts(points, fleet.hosts.credentials, {n.name: n.host for n in plan.nodes})
     )
     started: list[str] = []
+    concerned = partners(plan)
+
+    def start(label: str) -> None:
+        others = {other: points[other] for other in concerned[label]}
+        started.append(label)
+        order = wire.Start(plan, wire.Versions.ours(), schemas, endpoints, others)
+        fleet.ask(label, "start", order, wire.Accepted, READY_S)
+
     try:
-        for label in used:
-            others = {other: point for other, point in points.items() if other != label}
-            started.append(label)
-            order = wire.Start(plan, wire.Versions.ours(), schemas, endpoints, others)
-            fleet.ask(label, "start", order, wire.Accepted, READY_S)
+        fleet.each(start, used)
         _await(fleet, plan.name, used)
     except BaseException:  # also Ctrl-C
-        left = [why for label in started if (why := _down(fleet, label, plan.name))]
+        said = fleet.each(lambda label: _down(fleet, label, plan.name), started)
+        left = list(filter(None, said.values()))
         for why in left:
             log.error("%s may still run: %s", plan.name, why)
         if not left and before is None:
@@ -207,8 +222,8 @@ def attach(graph: str, fleet: Fleet) -> list[str]:
 def down(graph: str, hosts: Hosts) -> list[str]:
     """Stop a graph on all its hosts; return a sentence per host that was not reached."""
     with Fleet(hosts) as fleet:
-        said = [_down(fleet, label, graph) for label in hosts.points]
-    missing = [why for why in said if why]
+        said = fleet.each(lambda label: _down(fleet, label, graph))
+    missing = list(filter(None, said.values()))
     if not missing:
         forget(graph)
     return missing
@@ -301,9 +316,12 @@ def _prepare(
 
 def _await(fleet: Fleet, graph: str, labels: Iterable[str]) -> None:
     waiting, deadline = set(labels), time.monotonic() + READY_S
+
+    def states_of(label: str) -> tuple[wire.State, ...]:
+        return fleet.ask(label, "state", wire.Named(graph), wire.States).states
+
     while waiting:
-        for label in sorted(waiting):
-            states = fleet.ask(label, "state", wire.Named(graph), wire.States).states
+        for label, states in fleet.each(states_of, sorted(waiting)).items():
             if not states:
                 raise RunError(f"{label}: {graph} does not run there any more")
             if states[0].phase in ("failed", "stopped"):

@@ -22,6 +22,7 @@ from pipeline.errors import FoveaError, RunError
 from pipeline.fleet.agent_file import GraphStore
 from pipeline.fleet.names import connected
 from pipeline.fleet.peers import Peer, Replication, adopt
+from pipeline.fleet.placement import partners
 from pipeline.graph.plan import Edge, Plan
 from pipeline.graph.ports import Ports
 from pipeline.node.wiring import CLOCKS
@@ -54,7 +55,7 @@ class HostedGraph:
     ports: Mapping[str, Ports]  # of the operators here, which the agent does not import
     fingerprint: str  # of the requested graph; hosts with another one do not replicate
     networks: Mapping[str, Network]
-    hosts: Mapping[str, str]  # label -> end point of the agent
+    hosts: Mapping[str, str]  # of its partners: label -> end point of the agent
     way: Network  # network to those agents, without end points
     begins: Callable[[], int]  # increments a persistent count of starts
     reaper: Reaper | None = None  # of the agent
@@ -271,6 +272,13 @@ def check_inside(before: Plan, wanted: Plan, label: str) -> None:
     ]
     if beyond[0] != beyond[1]:
         raise RunError(f"{before.name}: expected the edges of other hosts as they are")
+    known = partners(before)
+    for host, others in partners(wanted).items():
+        if strange := sorted(others - known.get(host, frozenset())):
+            raise RunError(
+                f"{before.name}: exposures would pass between {host} and {strange[0]}, which do "
+                "not know one another's clocks; deploy the graph again with --replace"
+            )
 
 
 def is_inside(plan: Plan, edge: Edge, label: str) -> bool:

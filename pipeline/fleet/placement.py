@@ -239,6 +239,31 @@ def borders(plan: Plan) -> dict[str, frozenset[str]]:
     return {name: frozenset(others) for name, others in found.items()}
 
 
+def partners(plan: Plan) -> dict[str, frozenset[str]]:
+    """Return, for each host, those whose clock, readiness and accounts concern it.
+
+    They share an edge with it, or exposures of the one reach the other: their times are in the
+    clock of the host that exposed. Commands carry such times too, but what a source sends is new.
+    """
+    hosts = {node.name: node.host for node in plan.nodes}
+    sources = {name for name in hosts if plan.exposes(name)}
+    readers: dict[str, set[str]] = {name: set() for name in hosts}
+    for edge in plan.edges:
+        readers[edge.source].add(edge.target)
+    found: dict[str, set[str]] = {label: set() for label in hosts.values()}
+    for origin, known in readers.items():
+        reached, waiting = set(known), list(known) if origin in sources else []
+        while waiting:
+            name = waiting.pop()
+            new = set() if name in sources else readers[name] - reached
+            reached |= new
+            waiting += new
+        for there in {hosts[name] for name in reached} - {hosts[origin]}:
+            found[hosts[origin]].add(there)
+            found[there].add(hosts[origin])
+    return {label: frozenset(others) for label, others in found.items()}
+
+
 def place(node: Node) -> str:
     """Return `label/process`."""
     return f"{node.host}/{node.process}"

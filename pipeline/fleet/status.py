@@ -71,7 +71,7 @@ def _nodes(supervisor: Supervisor) -> tuple[NodeState, ...]:
 
 def _edges(supervisor: Supervisor, clocks: Clocks) -> tuple[EdgeState, ...]:
     plan, found = supervisor.plan, []
-    sources = [n for n in plan.nodes if all(e.command for e in plan.inputs(n.name).values())]
+    sources = [n for n in plan.nodes if plan.exposes(n.name)]
     errors = [clocks.error_ns(node.host) for node in sources]
     for edge in plan.edges:
         if not plan.is_here(plan.node(edge.target)):

@@ -146,6 +146,10 @@ class Plan:
         """Return the edges into a node by input, in the order of the operator's declaration."""
         return {e.input: e for e in self.edges if e.target == node}
 
+    def exposes(self, node: str) -> bool:
+        """Whether a node is a source: nothing reaches it but commands."""
+        return all(edge.command for edge in self.inputs(node).values())
+
     def readers(self, node: str, output: str) -> tuple[Edge, ...]:
         """Return the edges from one output."""
         return tuple(e for e in self.edges if e.source == node and e.output == output)

@@ -125,16 +125,18 @@ def test_a_host_without_permission_is_refused_and_blocks_nothing(
         permits=asker_permits(host_identity("viewer"), {"sensor": fleet.hosts.points["sensor"]}),
     )
     session = Session.across(way)
+    key = partial(agent_key, "sensor", host_identity("viewer"))
     try:
+        assert session.ask(key("weights"), b"x", 0.5) is None  # they share no graph yet
+        up(fleet, plan_of(tmp_path))
         for verb in ("weights", "start", "nothing"):
-            said = session.ask(agent_key("sensor", host_identity("viewer"), verb), b"x", 5)
+            said = session.ask(key(verb), b"x", 5)
             assert said is not None
             with pytest.raises(RunError, match=f"host.viewer may not {verb} here"):
                 decode_answer(wire.Prepared, said, "sensor")
     finally:
         session.close()
 
-    up(fleet, plan_of(tmp_path))
     down("trio", fleet.hosts)
 
 

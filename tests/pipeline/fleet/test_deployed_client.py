@@ -143,6 +143,20 @@ def test_a_host_changes_nothing_but_its_own_nodes(tmp_path: Path) -> None:
             check_inside(plan, wanted, label)
 
 
+def test_exposures_reach_no_host_that_does_not_know_their_clock(tmp_path: Path) -> None:
+    nodes = """
+  own: {operator: tests.samples:Ticker, host: brain}
+  second: {operator: tests.samples:Pass, host: brain, inputs: {frame: own.context}}
+  shown: {operator: tests.samples:Count, host: desk, inputs: {frame: second}}
+"""
+    text = DUO.replace("[eye, brain]", "[eye, brain, desk]") + nodes
+    plan = plan_of(tmp_path, text)
+    wanted = plan_of(tmp_path, text.replace("own.context", "work"))
+
+    with pytest.raises(RunError, match=r"between eye and desk.* deploy the graph again with"):
+        check_inside(plan, wanted, "brain")
+
+
 def test_a_graph_that_is_taken_down_while_it_changes_does_not_come_back(
     two: dict[str, Running], fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,6 +12,7 @@ import pytest
 from pipeline.errors import SettingsError
 from pipeline.fleet.agent_file import AgentFile, HostConfig
 from pipeline.fleet.deploy import Fleet, down, up
+from pipeline.fleet.placement import partners
 from tests.pipeline.fleet.agents import fleet_of, handled, plan_of, state_of
 from tests.sample_graphs import until
 
@@ -35,22 +36,23 @@ def labelled(tmp_path: Path) -> Iterator[None]:
         yield
 
 
-def sees_the_others(fleet: Fleet, label: str) -> bool:
+def sees(fleet: Fleet, label: str, others: frozenset[str]) -> bool:
     hosts = state_of(fleet, label).hosts
-    return len(hosts) == 2 and not any(host.lost for host in hosts)
+    return {host.label for host in hosts} == others and not any(host.lost for host in hosts)
 
 
 @pytest.mark.usefixtures("labelled")
 def test_agents_with_a_label_alone_run_a_graph_and_find_one_another(
     tmp_path: Path,
 ) -> None:
+    plan = plan_of(tmp_path)
     with fleet_of(*LABELS) as fleet:
-        up(fleet, plan_of(tmp_path))
+        up(fleet, plan)
 
         until(lambda: handled(fleet, "viewer", "count") > 10)
         until(lambda: handled(fleet, "compute", "steer") > 10)
-        for label in LABELS:
-            until(partial(sees_the_others, fleet, label))
+        for label, others in partners(plan).items():
+            until(partial(sees, fleet, label, others))
         down("trio", fleet.hosts)
 
 

@@ -9,16 +9,15 @@ from typing import Any
 import msgspec
 import pytest
 
-from pipeline.bus.ledger import private_ledger
 from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
 from pipeline.fleet.links import edge_key, node_permits
-from pipeline.fleet.peers import DRIFT, READ, WRITTEN, Offset, Replication, adopt
 from pipeline.fleet.placement import (
     DIGEST_PREFIX,
     Allowed,
     check_labels,
     code_digest,
     listeners,
+    partners,
     permitted,
     plan_for,
 )
@@ -26,7 +25,7 @@ from pipeline.graph.plan import Plan
 from pipeline.graph.ports import check_fingerprints, check_operators, declared_ports, fingerprints
 from pipeline.node.port_contract import contract_of
 from pipeline.protocol.codec import MARKER, TAG, VERSION, decode, encode
-from pipeline.protocol.fleet import Accounts, Prepare, Versions
+from pipeline.protocol.fleet import Prepare, Versions
 from tests.pipeline.fleet.agents import ALLOWED, TRIO, plan_of
 
 
@@ -68,6 +67,43 @@ def test_a_group_stays_on_one_host(tmp_path: Path) -> None:
 def test_a_label_without_an_agent_is_refused(tmp_path: Path) -> None:
     with pytest.raises(GraphError, match="no host viewer among the known agents"):
         check_labels(plan_of(tmp_path), {"sensor": 0, "compute": 0, "viewr": 0})
+
+
+CHAIN = """
+name: chain
+hosts: [eye, brain, desk, attic]
+nodes:
+  capture: {operator: tests.samples:Ticker, host: eye, inputs: {schedule: steer}}
+  work: {operator: tests.samples:Pass, host: brain, inputs: {frame: capture.context}}
+  tally: {operator: tests.samples:Tally, host: desk, inputs: {frame: work}}
+  steer: {operator: tests.samples:Steer, host: desk, inputs: {percept: tally}}
+  other: {operator: tests.samples:Ticker, host: attic, inputs: {schedule: steer}}
+  count: {operator: tests.samples:Count, host: attic, inputs: {frame: other.context}}
+"""
+TWO_LOOPS = """
+name: loops
+hosts: [left, right, brain]
+nodes:
+  left: {operator: tests.samples:Ticker, host: left, inputs: {schedule: left_steer}}
+  left_tally: {operator: tests.samples:Tally, host: brain, inputs: {frame: left.context}}
+  left_steer: {operator: tests.samples:Steer, host: brain, inputs: {percept: left_tally}}
+  right: {operator: tests.samples:Ticker, host: right, inputs: {schedule: right_steer}}
+  right_tally: {operator: tests.samples:Tally, host: brain, inputs: {frame: right.context}}
+  right_steer: {operator: tests.samples:Steer, host: brain, inputs: {percept: right_tally}}
+"""
+
+
+def test_partners_share_an_edge_or_the_exposures_of_one_reach_the_other(tmp_path: Path) -> None:
+    of_a_chain = {
+        "eye": {"brain", "desk", "attic"},  # commands to the attic carry its times
+        "brain": {"eye", "desk"},  # nothing that the attic exposes comes here
+        "desk": {"eye", "brain", "attic"},
+        "attic": {"eye", "desk"},
+    }
+    of_two_loops = {"left": {"brain"}, "right": {"brain"}, "brain": {"left", "right"}}
+
+    assert partners(plan_of(tmp_path, CHAIN)) == of_a_chain
+    assert partners(plan_of(tmp_path, TWO_LOOPS)) == of_two_loops
 
 
 def test_only_edges_between_hosts_carry_bytes(tmp_path: Path) -> None:
@@ -244,120 +280,3 @@ def test_another_schema_is_refused_with_both_sides(tmp_path: Path) -> None:
     with pytest.raises(GraphError, match=r"capture\.context: expected messages of schema 0000"):
         check_fingerprints(plan_for(plan, "compute"), theirs)
     check_fingerprints(plan_for(plan, "compute"), fingerprints(plan))
-
-
-def test_an_offset_lies_within_its_error_whatever_the_delays() -> None:
-    clock, ahead = Offset(), 1_000_000_000_000
-    ways = [(5_000_000, 100_000), (200_000, 300_000), (90_000, 4_000_000), (150_000, 9_000_000)]
-    now = 0
-    for there, back in ways:
-        came = now + there + ahead
-        clock.add(now, came, came + 50_000, now + there + 50_000 + back)
-        now += 200_000_000
-
-    seen = clock.estimate(now)
-
-    assert seen is not None
-    assert abs(seen.offset_ns - ahead) <= seen.error_ns
-    assert seen.error_ns <= 250_000 + DRIFT * 800_000_000
-    later = clock.estimate(now + 60_000_000_000)
-    assert later is not None
-    assert later.error_ns > 5_000_000  # the last measurement is a minute old: clocks drift
-
-
-def test_each_host_counts_its_half_and_receives_the_other(tmp_path: Path) -> None:
-    sensor, viewer = (plan_for(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
-    edge = next(e.index for e in sensor.edges if e.end == "count.frame")
-    ledgers = [private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2)]
-    here, there = (
-        Replication(sensor, ledgers[0], "viewer"),
-        Replication(viewer, ledgers[1], "sensor"),
-    )
-    ledgers[0].edges[edge].sent = 9
-    ledgers[1].edges[edge].delivered, ledgers[1].edges[edge].seen = 7, 8
-    ledgers[1].edges[edge].reader_epoch = 1
-
-    for one, other in ((here, there), (there, here)):
-        told = one.tell(ready=True, anyway=False)
-        assert told is not None
-        other.hear(told)
-        assert one.tell(ready=True, anyway=False) is None
-
-    assert (ledgers[0].edges[edge].seen, ledgers[0].edges[edge].in_flight) == (8, 2)
-    assert ledgers[1].edges[edge].sent == 9
-    here.lost()
-    assert not ledgers[0].edges[edge].live  # a writer waits for no reader that is gone
-
-
-def test_a_restarted_host_continues_from_the_accounts_of_the_others(tmp_path: Path) -> None:
-    sensor, viewer = (plan_for(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
-    old, fresh = (private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2))
-    edge = next(e.index for e in sensor.edges if e.end == "count.frame")
-    old.edges[edge].sent, old.edges[edge].seen, old.edges[edge].delivered = 20, 19, 18
-
-    adopt(sensor, fresh, [Replication(viewer, old, "sensor").whole()])
-
-    assert fresh.edges[edge].sent == 20
-    siblings = sensor.readers("capture", "context")
-    assert {fresh.edges[e.index].sent for e in siblings} == {20}
-
-
-def test_a_local_edge_beside_one_between_hosts_begins_at_zero(tmp_path: Path) -> None:
-    text = TRIO + "  near:\n    operator: tests.samples:Count\n    host: sensor\n"
-    text += "    inputs: {frame: capture.context}\n"
-    sensor, viewer = (plan_for(plan_of(tmp_path, text), name) for name in ("sensor", "viewer"))
-    old, fresh = (private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2))
-    far, near = (
-        next(e.index for e in sensor.edges if e.end == end) for end in ("count.frame", "near.frame")
-    )
-    old.edges[far].sent = old.edges[far].seen = old.edges[far].delivered = 20
-
-    adopt(sensor, fresh, [Replication(viewer, old, "sensor").whole()])
-
-    assert (fresh.edges[near].sent, fresh.edges[near].lost_in_crash) == (0, 0)
-    assert fresh.edges[near].base == 20
-
-
-def test_counts_of_edges_that_are_not_of_the_sending_host_are_ignored(tmp_path: Path) -> None:
-    plan = plan_for(plan_of(tmp_path), "sensor")
-    ledger = private_ledger(len(plan.edges), len(plan.nodes))
-    everything = {e.index: (99,) * len(WRITTEN) for e in plan.edges}
-    halves = {e.index: (99,) * len(READ) for e in plan.edges}
-
-    Replication(plan, ledger, "viewer").hear(Accounts(1, "", True, everything, halves))
-
-    for edge in plan.edges:
-        account = ledger.edges[edge.index]
-        assert account.sent == 0  # it writes nothing here
-        assert account.seen == (99 if edge.end == "count.frame" else 0)
-
-
-def test_counts_of_another_graph_of_that_name_are_ignored(tmp_path: Path) -> None:
-    plan = plan_for(plan_of(tmp_path), "sensor")
-    ledger = private_ledger(len(plan.edges), len(plan.nodes))
-    theirs = Replication(plan_for(plan_of(tmp_path), "viewer"), ledger, "sensor", fingerprint="old")
-    mine = private_ledger(len(plan.edges), len(plan.nodes))
-    edge = next(e.index for e in plan.edges if e.end == "count.frame")
-    ledger.edges[edge].reader_epoch = 7
-
-    told = theirs.tell(ready=True, anyway=True)
-    assert told is not None
-    Replication(plan, mine, "viewer", fingerprint="new").hear(told)
-    assert mine.edges[edge].reader_epoch == 0
-
-    Replication(plan, mine, "viewer", fingerprint="old").hear(told)
-    assert mine.edges[edge].reader_epoch == 7
-
-
-def test_a_clock_that_was_reset_is_followed_at_once() -> None:
-    clock = Offset()
-    for k in range(64):
-        now = k * 200_000_000
-        clock.add(now, now + 10**12, now + 10**12, now + 100_000)
-
-    now = 64 * 200_000_000
-    clock.add(now, 5_000_000, 5_000_000, now + 5_000_000)
-
-    seen = clock.estimate(now + 5_000_000)
-    assert seen is not None
-    assert abs(seen.offset_ns - (2_500_000 - now)) <= seen.error_ns
