@@ -57,6 +57,7 @@ TABLE = {
     "swap": (f"{CONTROL}:swap", "Replace a node's operator, settings or model file."),
     "tell": (f"{CONTROL}:tell_command", "Call a command of a running node."),
     "top": (f"{INSPECTION}:top", "Watch rates, latencies and drops of a running graph."),
+    "trace": ("pipeline.cli.tracing:trace", "Send spans of a running graph to OpenTelemetry."),
     "train": (f"{TASKS}:train_command", "Train the networks of a task."),
     "tune": ("pipeline.cli.tune:tune", "Measure each network; propose the cheapest settings."),
     "up": (f"{FLEET}:up_command", "Start a graph on the hosts that its nodes name."),
