@@ -131,6 +131,23 @@ def test_nothing_listens_but_the_router(site: Site) -> None:
     assert ports(router) == [int(site.address.rpartition(":")[2])]
 
 
+def test_another_desk_attaches_and_reads_sets_and_listens_through_the_router(site: Site) -> None:
+    (site.folder / "home").mkdir()
+    before = site.environment
+    site.environment = before | {"HOME": str(site.folder / "home")}
+    try:
+        # this desk has not heard of the graph yet
+        assert "no log of a node work" in site.fovea("logs", site.name, "work", fails=True)
+        known = site.fovea("attach", site.name, "--credentials", "credentials/user.me")
+        assert "runs on brain, eye" in known
+        assert "work.hold = 3" in site.fovea("set", site.name, "work", "hold=3")
+        site.fovea("logs", site.name, "work")
+        heard = site.fovea("echo", site.name, "capture.context", "--count", "3")
+        assert heard.count("seq ") == 3
+    finally:
+        site.environment = before
+
+
 def test_who_is_not_on_the_routers_list_reaches_nobody(site: Site) -> None:
     kept = {path: path.read_text() for path in site.folder.glob("credentials/*/*.yaml")}
     site.fovea("secure", "add", "credentials", "--graph", "graph.yaml", "--user", "other")
