@@ -143,7 +143,7 @@ def test_another_desk_attaches_and_reads_sets_and_listens_through_the_router(sit
         assert "work.hold = 3" in site.fovea("set", site.name, "work", "hold=3")
         site.fovea("logs", site.name, "work")
         heard = site.fovea("echo", site.name, "capture.context", "--count", "3")
-        assert heard.count("seq ") == 3
+        assert heard.count("pixels uint8") == 3
     finally:
         site.environment = before
 
