@@ -2,7 +2,7 @@
 
 Each policy looks at the same recorded clips of streets, whose pictures, detections and tracks do
 not depend on where it looks; missing clips are recorded. What a window shows is read by a simulated
-reader (operators/policy/reading_street.py), and what was read returns to the policy, so that a clip
+reader (operators/policy/reading/street.py), and what was read returns to the policy, so that a clip
 takes a second. Prints the share of the legible texts that were shown at a readable size, and that
 were read, and the frames from the first one in which a text is legible to its reading (below 0: it
 was read before). The oracle knows the truth: it shows the window that reads most in the next frame.
@@ -36,9 +36,9 @@ from operators.policy import (
 from operators.policy.data import Recording, record
 from operators.policy.gaze_plan import GazePlan, scanpath, stay
 from operators.policy.inputs import PolicyInputs
-from operators.policy.reading_settings import GRAPH
-from operators.policy.reading_street import SimulatedReader, Street
-from operators.policy.reading_windows import around
+from operators.policy.reading.settings import GRAPH
+from operators.policy.reading.street import SimulatedReader, Street
+from operators.policy.reading.windows import around
 from operators.policy.rollout import within
 from operators.policy.utility import windows
 from pipeline import Frame, Percept, Scanpath, Tracks

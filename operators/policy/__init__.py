@@ -11,9 +11,9 @@ from operators.policy.former import NO_POLICY
 from operators.policy.greedy import GreedyPolicy, GreedyPolicySettings, GreedyState
 from operators.policy.learned import LearnedPolicy, LearnedPolicySettings
 from operators.policy.pursuit import PursuitPolicy, PursuitPolicySettings, PursuitState
-from operators.policy.reading import ReadingPolicy, ReadingPolicySettings
-from operators.policy.reading_greedy import GreedyReadingPolicy, GreedyReadingPolicySettings
-from operators.policy.reading_inputs import TextPolicyState
+from operators.policy.reading.greedy import GreedyReadingPolicy, GreedyReadingPolicySettings
+from operators.policy.reading.inputs import TextPolicyState
+from operators.policy.reading.policy import ReadingPolicy, ReadingPolicySettings
 from operators.policy.round_robin import (
     RoundRobinPolicy,
     RoundRobinPolicySettings,

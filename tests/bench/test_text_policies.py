@@ -45,7 +45,7 @@ def test_rows_have_every_policy_and_differences_to_the_rule(
 ) -> None:
     pytest.importorskip("torch", reason="needs the train extra")
     pytest.importorskip("onnx", reason="needs the train extra")
-    from operators.policy.reading_model import ReadingNet, export
+    from operators.policy.reading.model import ReadingNet, export
 
     export(ReadingNet(roi_channels=ROI, context_channels=CONTEXT), tmp_path / "reading.onnx")
     for seed in (1, 2):

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from operators.policy.data import Recording, arrays
-from operators.policy.reading_street import UNSCORED, Street
+from operators.policy.reading.street import UNSCORED, Street
 from pipeline import RoiFeatures, Truth
 from tests.operators.policy.made_up_texts import STREET, tracks
 

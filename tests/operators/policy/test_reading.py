@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from operators.policy import ReadingPolicy, ReadingPolicySettings
-from operators.policy.reading_network import SHIPPED, ReadingNetwork
+from operators.policy.reading.network import SHIPPED, ReadingNetwork
 from operators.saliency import SaliencySettings
 from pipeline import SettingsError
 from pipeline.boxes import covered

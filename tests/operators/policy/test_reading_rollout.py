@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from operators.policy.looks import carried, exposed, no_looks, noted
-from operators.policy.reading_gain import VERIFY
-from operators.policy.reading_rollout import Episode, Task, roll, tasks, teacher
-from operators.policy.reading_street import SimulatedReader, Street
-from operators.policy.reading_tokens import LOOKS, encode_texts
-from operators.policy.reading_utility import DISCOUNT, expected, marginal
+from operators.policy.reading.gain import VERIFY
+from operators.policy.reading.rollout import Episode, Task, roll, tasks, teacher
+from operators.policy.reading.street import SimulatedReader, Street
+from operators.policy.reading.tokens import LOOKS, encode_texts
+from operators.policy.reading.utility import DISCOUNT, expected, marginal
 from operators.policy.rollout import Late
 from pipeline.boxes import covered
 from tests.operators.policy.made_up_texts import reading, tracks

@@ -12,15 +12,15 @@ import torch
 from click.testing import CliRunner
 
 from operators.policy import GreedyReadingPolicy, ReadingPolicy, ReadingPolicySettings
-from operators.policy import reading_training as training
 from operators.policy.model import PolicyNet
 from operators.policy.model import export as export_other
-from operators.policy.reading_model import INPUTS, ReadingNet, export
-from operators.policy.reading_network import ReadingNetwork
-from operators.policy.reading_settings import ReadingTrainSettings
-from operators.policy.reading_street import Street
-from operators.policy.reading_train import command
-from operators.policy.reading_training import (
+from operators.policy.reading import training
+from operators.policy.reading.model import INPUTS, ReadingNet, export
+from operators.policy.reading.network import ReadingNetwork
+from operators.policy.reading.settings import ReadingTrainSettings
+from operators.policy.reading.street import Street
+from operators.policy.reading.train import command
+from operators.policy.reading.training import (
     Run,
     batch_of,
     loss_of,
@@ -28,7 +28,7 @@ from operators.policy.reading_training import (
     round_of,
     train,
 )
-from operators.policy.reading_utility import expected
+from operators.policy.reading.utility import expected
 from operators.training import checkpoint
 from pipeline import SettingsError
 from pipeline.boxes import covered

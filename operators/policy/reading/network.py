@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from operators.policy.network import softmax
-from operators.policy.reading_tokens import CONDITION, DEAF, ENCODED, LOOKS, Texts, batched
+from operators.policy.reading.tokens import CONDITION, DEAF, ENCODED, LOOKS, Texts, batched
 from operators.policy.tokens import BOX, Array
 from pipeline import Tracks
 from pipeline.errors import MessageError, WeightsError

@@ -11,11 +11,11 @@ import numpy as np
 
 from operators.policy.decision import Selection, pick
 from operators.policy.memory import remember
-from operators.policy.reading_decision import observe, plan_of
-from operators.policy.reading_inputs import at_first, noted_reading, planned, shown_window
-from operators.policy.reading_street import SimulatedReader, Street
-from operators.policy.reading_tokens import Texts
-from operators.policy.reading_utility import marginal
+from operators.policy.reading.decision import observe, plan_of
+from operators.policy.reading.inputs import at_first, noted_reading, planned, shown_window
+from operators.policy.reading.street import SimulatedReader, Street
+from operators.policy.reading.tokens import Texts
+from operators.policy.reading.utility import marginal
 from operators.policy.rollout import Late, within
 from operators.policy.tokens import Array
 from operators.policy.utility import windows

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from operators.policy.looks import Looks
 from operators.policy.readability import chances, heights
-from operators.policy.reading_windows import WHOLE
+from operators.policy.reading.windows import WHOLE
 from pipeline import Geometry
 from pipeline.boxes import Array, covered
 

@@ -2,7 +2,7 @@
 
 As `tokens.py` has them for tracking, and besides: whether and how often a text was shown at full
 resolution, what the reader said of it, and the chance of reading it. A text has no class. A rule
-says what each window promises (reading_gain.py); the network corrects it. The last candidate is no
+says what each window promises (gain.py); the network corrects it. The last candidate is no
 text but a search of the field, as the detector misses most texts in the context.
 """
 
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from operators.policy.gaze_plan import PLACE
 from operators.policy.looks import Looks
 from operators.policy.readability import chances, heights
-from operators.policy.reading_gain import SEARCH, foreseen, promised
-from operators.policy.reading_windows import around
+from operators.policy.reading.gain import SEARCH, foreseen, promised
+from operators.policy.reading.windows import around
 from operators.policy.search import search
 from operators.policy.tokens import MOST_OBJECTS, Array, encode_boxes
 from pipeline import Geometry, Tracks

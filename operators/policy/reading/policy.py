@@ -17,9 +17,9 @@ from operators.policy.decision import Selection, fault, pick
 from operators.policy.gaze_plan import no_proposal, scanpath
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
-from operators.policy.reading_decision import observe, plan_of
-from operators.policy.reading_inputs import TextPolicy, TextPolicySettings, planned
-from operators.policy.reading_network import SHIPPED, ReadingNetwork
+from operators.policy.reading.decision import observe, plan_of
+from operators.policy.reading.inputs import TextPolicy, TextPolicySettings, planned
+from operators.policy.reading.network import SHIPPED, ReadingNetwork
 from operators.policy.target import told_before
 from pipeline import RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.providers import NetworkSettings
@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 class ReadingPolicySettings(TextPolicySettings, NetworkSettings):
     """What a graph may set."""
 
-    weights: str = ""  # an ONNX file of operators.policy.reading_train; empty: the shipped one
+    weights: str = ""  # an ONNX file of operators.policy.reading.train; empty: the shipped one
     selection: Selection = "argmax"  # the likeliest text, or one drawn by its probability
     seed: int = 0  # of what is drawn
     observed: int = 4  # To, frames of looks that are remembered

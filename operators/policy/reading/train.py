@@ -1,7 +1,7 @@
-"""Train the policy that reads: `python -m operators.policy.reading_train --help`.
+"""Train the policy that reads: `python -m operators.policy.reading.train --help`.
 
 This module defines the options; the training itself, which needs torch, is in
-`reading_training.py`.
+`training.py`.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -10,8 +10,8 @@ from pathlib import Path
 
 import click
 
-from operators.policy.reading_settings import ReadingTrainSettings
-from operators.policy.reading_tokens import PARTS
+from operators.policy.reading.settings import ReadingTrainSettings
+from operators.policy.reading.tokens import PARTS
 from operators.policy.rollout import Late
 from operators.policy.train import frames_of, told
 from operators.training.command_line import GOES_ON, in_a_sentence
@@ -51,8 +51,8 @@ def command(
         raise click.UsageError(f"--scales: expected shares such as 1,0.5, got {scales!r}") from None
     with in_a_sentence(GOES_ON):
         need("torch", "train")
-        from operators.policy.reading_model import export
-        from operators.policy.reading_training import train
+        from operators.policy.reading.model import export
+        from operators.policy.reading.training import train
 
         settings = ReadingTrainSettings(
             data=data, out=out, use=parts, late=late, scales=sides, device=device, changes=changes,

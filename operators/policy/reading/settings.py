@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from operators.policy.reading_tokens import PARTS
+from operators.policy.reading.tokens import PARTS
 from operators.policy.rollout import Late
 from operators.training.ranges import above_zero, at_least, known_device
 from pipeline.errors import SettingsError

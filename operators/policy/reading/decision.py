@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from operators.policy.gaze_plan import GazePlan
 from operators.policy.memory import recall
-from operators.policy.reading_inputs import TextPolicyState, brought_up
-from operators.policy.reading_tokens import Texts, encode_scene, encode_texts
+from operators.policy.reading.inputs import TextPolicyState, brought_up
+from operators.policy.reading.tokens import Texts, encode_scene, encode_texts
 from operators.policy.tokens import Array
 from pipeline import Tracks
 

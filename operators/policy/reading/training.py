@@ -2,7 +2,7 @@
 
 As `training_run.py` trains the one that follows: a teacher drives the first of the rounds, the
 network's own draws the others. The loss is the negative expected number of texts that the plan
-reads (reading_utility.py), as a share of what the greedy plan that knows the truth reads, plus a
+reads (utility.py), as a share of what the greedy plan that knows the truth reads, plus a
 share of the cross-entropy to what each candidate adds to that plan.
 """
 
@@ -18,17 +18,17 @@ from torch import Tensor
 from operators.policy.data import Recording, made_with, record
 from operators.policy.decision import Selection
 from operators.policy.network import softmax
-from operators.policy.reading_model import INPUTS, ReadingNet
-from operators.policy.reading_rollout import SURE, Choose, Episode, Sample, roll, tasks, teacher
-from operators.policy.reading_settings import (
+from operators.policy.reading.model import INPUTS, ReadingNet
+from operators.policy.reading.rollout import SURE, Choose, Episode, Sample, roll, tasks, teacher
+from operators.policy.reading.settings import (
     GRAPH,
     TRAIN_SEEDS,
     VALIDATION_SEEDS,
     ReadingTrainSettings,
 )
-from operators.policy.reading_street import Street
-from operators.policy.reading_tokens import DEAF, Texts, batched
-from operators.policy.reading_utility import DISCOUNT
+from operators.policy.reading.street import Street
+from operators.policy.reading.tokens import DEAF, Texts, batched
+from operators.policy.reading.utility import DISCOUNT
 from operators.policy.tokens import Array
 from operators.policy.training_run import plot
 from operators.training.checkpoint import Progress, left, path_in

@@ -1,7 +1,7 @@
 """The network of the policy that reads: features of up to 25 candidates -> logits for Tp frames.
 
 It is the paper's network (model.py). What was shown and read joins the detection part, as both tell
-of the text's own state, and so does the rule of reading_gain.py, which the network corrects: before
+of the text's own state, and so does the rule of gain.py, which the network corrects: before
 training it decides as the rule does. The condition is the present window instead of a target.
 """
 
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from operators.policy.model import WIDTHS, PolicyNet, conditioner, perceptron
-from operators.policy.reading_tokens import CONDITION, FEEDBACK, LOOKS, PARTS, SHARE_READ
+from operators.policy.reading.tokens import CONDITION, FEEDBACK, LOOKS, PARTS, SHARE_READ
 from operators.policy.tokens import BOX
 from operators.training.onnx_files import write
 

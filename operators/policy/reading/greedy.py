@@ -13,14 +13,14 @@ import numpy as np
 from operators.policy.gaze_plan import PLACE, GazePlan, future, scanpath
 from operators.policy.looks import Looks
 from operators.policy.readability import chances, heights
-from operators.policy.reading_gain import RETRY, SEARCH, VERIFY, gains
-from operators.policy.reading_inputs import (
+from operators.policy.reading.gain import RETRY, SEARCH, VERIFY, gains
+from operators.policy.reading.inputs import (
     TextPolicy,
     TextPolicySettings,
     brought_up,
     planned,
 )
-from operators.policy.reading_windows import around
+from operators.policy.reading.windows import around
 from operators.policy.search import search
 from pipeline import Scanpath, SettingsError, Tracks
 from pipeline.boxes import Array, from_centres

@@ -1,0 +1,1 @@
+"""Policies that show texts until they are read: learned, and by a rule."""
