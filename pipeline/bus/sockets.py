@@ -9,11 +9,12 @@ successor, which was then closed instead on one side and never reopened.
 
 import contextlib
 import ipaddress
+import os
 import socket
+import stat
 import struct
 
-import psutil
-
+DESCRIPTORS = "/dev/fd"  # of this process
 TCP = ("tcp", "tls")  # protocols of locators that use TCP
 DEAD_MS = 1500  # without an acknowledgement; less than Zenoh's lease
 _AT_ONCE = struct.pack("ii", 0, 0)
@@ -29,19 +30,28 @@ def hasten(own: str, other: str) -> bool:
     if own.partition("/")[0] not in TCP:
         return False
     wanted = (_end(own), _end(other))
-    for link in psutil.Process().net_connections("tcp"):
-        if link.raddr and (_plain(*link.laddr), _plain(*link.raddr)) == wanted:
-            with contextlib.suppress(OSError):  # closed meanwhile
-                _hasten(link.fd)
+    # not the system's table of connections, which takes the longer the more hosts there are
+    for name in os.listdir(DESCRIPTORS):
+        with contextlib.suppress(OSError, ValueError):  # closed meanwhile, or no connection
+            if _hastened(int(name), wanted):
                 return True
     return False
 
 
-def _hasten(number: int) -> None:
+def _hastened(number: int, wanted: tuple[End, End]) -> bool:
+    """Set the options of a descriptor if it is the wanted connection."""
+    if not stat.S_ISSOCK(os.fstat(number).st_mode):
+        return False
     borrowed = socket.socket(fileno=number)
     try:
+        if borrowed.family not in (socket.AF_INET, socket.AF_INET6):
+            return False
+        own, other = borrowed.getsockname()[:2], borrowed.getpeername()[:2]
+        if (_plain(*own), _plain(*other)) != wanted:
+            return False
         borrowed.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
         borrowed.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_MS)
+        return True
     finally:
         borrowed.detach()  # the owner keeps the descriptor
 

@@ -183,7 +183,7 @@ class DeployedGraph(GraphClient):
 
     def _plans(self, fleet: Fleet) -> tuple[dict[str, Plan], dict[str, int]]:
         """Return the plan that every host runs, and its revision there."""
-        told = {label: self._planned(fleet, label) for label in self.hosts.points}
+        told = fleet.each(lambda label: self._planned(fleet, label))
         plans = {label: one.plan for label, one in told.items()}
         return plans, {label: one.revision for label, one in told.items()}
 

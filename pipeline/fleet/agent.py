@@ -8,39 +8,19 @@ import logging
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
 
-from pipeline.bus.network import Network
 from pipeline.bus.session import Session
 from pipeline.errors import FoveaError, MessageError, RunError
+from pipeline.fleet.admission import Admission, check_versions
 from pipeline.fleet.agent_file import GraphStore, HostConfig
-from pipeline.fleet.hosted_graph import HostedGraph, Inspected, change, identity_of, planned
+from pipeline.fleet.hosted_graph import HostedGraph, change, planned
 from pipeline.fleet.inspection import Inspector, NotInspected
-from pipeline.fleet.links import (
-    agent_permits,
-    asker_permits,
-    check_credentials,
-    end_points,
-    local_end_points,
-    networks,
-    own_end_points,
-)
-from pipeline.fleet.names import (
-    ANYBODY,
-    ROUTER,
-    agent_key,
-    connected,
-    endpoint,
-    endpoint_host,
-    host_identity,
-    is_routed,
-    region_of,
-)
-from pipeline.fleet.placement import DIGEST_PREFIX, partners, permitted
+from pipeline.fleet.links import agent_permits
+from pipeline.fleet.names import ROUTER, agent_key, connected, host_identity
+from pipeline.fleet.placement import DIGEST_PREFIX
 from pipeline.fleet.questions import Question, Questions
 from pipeline.fleet.relay import NodeGateway, TapRelay, check_here
 from pipeline.fleet.status import state_of
-from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import ControlMessage, decode
@@ -48,7 +28,6 @@ from pipeline.protocol.fleet import Named, Prepare, Prepared, Start
 from pipeline.run.logs import log_part
 from pipeline.run.reaper import Reaper
 
-MOST_GRAPHS = 8
 MOST_LINES = 1000
 RESUME_ATTEMPTS = 3
 Act = Callable[[bytes], ControlMessage | None]
@@ -60,8 +39,7 @@ class Agent:
 
     def __init__(self, own: HostConfig, reaper: Reaper | None = None) -> None:
         """`reaper`: of this process, if it may adopt orphans of nodes."""
-        self.host, self.label, self._reaper = own, own.label, reaper
-        self._credentials = own.credentials
+        self.host, self.label = own, own.label
         self._allowed = own.allowed
         self._gateway = NodeGateway(self._allowed, own.file.settings)
         self._taps = TapRelay()
@@ -70,12 +48,13 @@ class Agent:
         self._stop = threading.Event()
         own.state.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._store = GraphStore(own.state)
-        self._inspector = Inspector(own.state, self._stop.is_set, reaper)
-        self._identities = own.identities if self._credentials else (ANYBODY, *own.identities)
-        permits = agent_permits(self.label, self._identities, ROUTER if own.router else "")
-        self._session = Session.across(self._network(permits=permits, **self._place()))
+        inspector = Inspector(own.state, self._stop.is_set, reaper)
+        self._admission = Admission(own, self._allowed, inspector, self._store, self.hosted, reaper)
+        identities = self._admission.identities
+        permits = agent_permits(self.label, identities, ROUTER if own.router else "")
+        self._session = Session.across(self._admission.network(permits=permits, **self._place()))
         self._served: set[str] = set()
-        for identity in self._identities:
+        for identity in identities:
             if not identity.startswith(host_identity("")):  # hosts: once they share a graph with it
                 self._serve(identity)
 
@@ -133,11 +112,6 @@ class Agent:
             return {"connect": (connected(self.host.router),)}
         return {"listen": (self.host.endpoint,)}
 
-    def _network(self, **more: Any) -> Network:
-        credentials = str(self._credentials.folder) if self._credentials else ""
-        region = region_of(host_identity(self.label)) if self.host.router else ""
-        return Network(credentials=credentials, region=region, **more)
-
     def _serve(self, identity: str) -> None:
         """Start answering an identity."""
         if identity in self._served:
@@ -178,20 +152,11 @@ class Agent:
         return wire.About(self.label, wire.Versions.ours(), tuple(self.hosted))
 
     def _prepare(self, data: bytes) -> Prepared:
-        asked = decode(Prepare, data)
-        self._check_versions(asked.versions)
-        plan = asked.plan
-        missing = self._missing(plan)
-        if missing:
-            return Prepared({}, missing)
-        self._check_free(plan, replace=asked.replace)
-        local = self._permitted(plan)
-        self._inspector.prepare(local, asked.fingerprints, self._allowed.files_of(local))
-        return Prepared(self._free_end_points(local))
+        return self._admission.prepared(decode(Prepare, data))
 
     def _start(self, data: bytes) -> wire.Accepted:
         asked = decode(Start, data)
-        hosted = self._hosted_of(asked)  # before any running graph is touched
+        hosted = self._admitted(asked)  # before any running graph is touched
         if (before := self.hosted.get(hosted.plan.name)) is not None:
             before.end()
         self._store.keep(hosted.plan.name, asked)
@@ -245,9 +210,9 @@ class Agent:
 
     def _replan(self, question: Question, data: bytes) -> None:
         asked = decode(wire.PlanChange, data)
-        self._check_versions(asked.versions)
+        check_versions(asked.versions)
         hosted = self._hosted(asked.graph)
-        change(hosted, asked, self._store, self._inspected, question.reply)
+        change(hosted, asked, self._store, self._admission.inspected, question.reply)
 
     def _tap(self, question: Question, data: bytes) -> None:
         asked = decode(wire.TapQuestion, data)
@@ -267,107 +232,6 @@ class Agent:
             raise RunError(f"no graph {graph} runs here")
         return self.hosted[graph]
 
-    def _missing(self, plan: Plan) -> tuple[str, ...]:
-        here = [n for n in plan.nodes if n.host == self.label]
-        return tuple(dict.fromkeys(d for n in here for d in self._allowed.missing(n.settings)))
-
-    def _check_free(self, plan: Plan, *, replace: bool) -> None:
-        hosted = self.hosted.get(plan.name)
-        if hosted is not None and hosted.alive and not replace:
-            raise RunError(f"{plan.name}: runs already; take it down first, or use --replace")
-        if hosted is None and len(self.hosted) >= MOST_GRAPHS:
-            raise RunError(f"{plan.name}: expected up to {MOST_GRAPHS} graphs on a host, got more")
-
-    def _check_versions(self, theirs: wire.Versions) -> None:
-        if theirs != (ours := wire.Versions.ours()):
-            raise RunError(f"expected {theirs}, got {ours} here")
-
-    def _inspected(self, plan: Plan, fingerprints: Mapping[str, str]) -> Inspected:
-        local = self._permitted(plan)
-        files = self._allowed.files_of(local)
-        return local, self._inspector.begin(local, fingerprints, files)
-
-    def _permitted(self, plan: Plan) -> Plan:
-        local = permitted(plan, self.label, self._allowed, self.host.file.settings)
-        check_credentials(local, self._credentials)
-        return local
-
-    def _hosted_of(self, asked: Start) -> HostedGraph:
-        """Return the requested graph, checked but not started."""
-        self._check_versions(asked.versions)
-        plan = asked.plan
-        self._check_free(plan, replace=True)
-        self._check_partners(plan, asked)
-        local, ports = self._inspected(plan, asked.fingerprints)
-        own = own_end_points(local, self._free_end_points(local), asked.endpoints)
-        self._check_unused(local, own)
-        identity = host_identity(self.label)
-        others = sorted(partners(local)[self.label])
-        points = {label: self._reached(label, asked.hosts[label]) for label in others}
-        for other in others:
-            self._serve(host_identity(other))
-        return HostedGraph(
-            plan=local,
-            ports=ports,
-            fingerprint=identity_of(asked),
-            networks=networks(local, own, asked.endpoints, self._credentials, self.host.router),
-            hosts=points,
-            way=self._network(permits=asker_permits(identity, points)),
-            begins=partial(self._store.count, local.name),
-            reaper=self._reaper,
-        )
-
-    def _reached(self, label: str, address: str) -> str:
-        """Return the end point of another host; behind a router it is this host's own router.
-
-        Raises `RunError` unless both are behind a router or neither is.
-        """
-        point = endpoint(address, "hosts")
-        if is_routed(point) != bool(self.host.router):
-            behind, other = (label, self.label) if is_routed(point) else (self.label, label)
-            raise RunError(
-                f"{behind} is behind a router and {other} is not: expected every host of a graph "
-                "behind it, or none"
-            )
-        return self.host.router or point
-
-    def _check_partners(self, plan: Plan, asked: Start) -> None:
-        for label, point in asked.hosts.items():
-            check_name(label, "hosts")
-            if self._credentials and host_identity(label) not in self._identities:
-                raise RunError(f"{label} is not among the hosts that this one may contact")
-            endpoint(point, "hosts")
-        others = partners(plan).get(self.label, frozenset())
-        if others - set(asked.hosts):
-            raise RunError(f"{plan.name}: no address for host {min(others - set(asked.hosts))}")
-        for point in asked.endpoints.values():
-            endpoint(point, "endpoints")
-
-    def _free_end_points(self, local: Plan) -> dict[str, str]:
-        """Return free end points for local processes with edges to other hosts."""
-        if self.host.router:  # its processes connect to it, and nothing listens here
-            return {}
-        if self._credentials is None:
-            return local_end_points(local)
-        first, last = self.host.file.ports
-        used = self._used(local.name)
-        return end_points(local, endpoint_host(self.host.endpoint), range(first, last + 1), used)
-
-    def _used(self, but: str) -> set[str]:
-        """Return the end points of the other graphs here."""
-        others = [other for graph, other in list(self.hosted.items()) if graph != but]
-        return {p for o in others for network in o.networks.values() for p in network.listen}
-
-    def _check_unused(self, local: Plan, own: Mapping[str, str]) -> None:
-        """Raise `RunError` for an end point that is not this host's, or already in use."""
-        if self._credentials is None or self.host.router:
-            return
-        first, last = self.host.file.ports
-        host = endpoint_host(self.host.endpoint)
-        mine = {f"tls/{host}:{port}" for port in range(first, last + 1)} - self._used(local.name)
-        if strange := sorted(set(own.values()) - mine):
-            raise RunError(f"{local.name}: {strange[0]} is not free here any more, try again")
-
     def _resume(self, name: str) -> None:
         """Restart a graph that ran when the agent ended; on failure, the log has the reason."""
         asked = self._store.asked(name)
@@ -384,7 +248,14 @@ class Agent:
         """Return the graph to resume; while a machine starts, an inspection may take too long."""
         for _ in range(RESUME_ATTEMPTS - 1):
             try:
-                return self._hosted_of(asked)
+                return self._admitted(asked)
             except NotInspected as error:
                 log.warning("%s; trying again", error)
-        return self._hosted_of(asked)
+        return self._admitted(asked)
+
+    def _admitted(self, asked: Start) -> HostedGraph:
+        """Return the requested graph, checked but not started, and begin to answer its partners."""
+        hosted = self._admission.hosted_of(asked)
+        for other in hosted.hosts:
+            self._serve(host_identity(other))
+        return hosted

@@ -315,13 +315,24 @@ def _prepare(
 
 
 def _await(fleet: Fleet, graph: str, labels: Iterable[str]) -> None:
+    """Wait until a graph works on all hosts; one that is busy starting it may be silent until then.
+
+    Raises `RunError` when it fails somewhere, and after `READY_S`.
+    """
     waiting, deadline = set(labels), time.monotonic() + READY_S
 
-    def states_of(label: str) -> tuple[wire.State, ...]:
-        return fleet.ask(label, "state", wire.Named(graph), wire.States).states
+    def states_of(label: str) -> tuple[wire.State, ...] | Silent:
+        try:
+            return fleet.ask(label, "state", wire.Named(graph), wire.States).states
+        except Silent as silent:
+            return silent
 
     while waiting:
         for label, states in fleet.each(states_of, sorted(waiting)).items():
+            if isinstance(states, Silent):
+                if time.monotonic() > deadline:
+                    raise states
+                continue
             if not states:
                 raise RunError(f"{label}: {graph} does not run there any more")
             if states[0].phase in ("failed", "stopped"):

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import msgspec
 
@@ -37,6 +38,8 @@ from pipeline.text import error_text
 
 WAIT_FOR_OTHERS_S = 60.0  # after this time, sources begin without the other hosts
 TELL_S = 0.004  # interval of sending accounts, on which credit of lossless edges depends
+TELL_IDLE_S = 0.02  # the same where nothing has changed for `IDLE_S`
+IDLE_S = 0.1
 ANYWAY_S = 0.25
 END_S = 20.0  # stopping takes as long as the slowest operator's `close`
 AGAIN_S = (1.0, 30.0)  # first and longest pause before a restart of a graph that has worked once
@@ -160,19 +163,21 @@ class HostedGraph:
         supervisor.manager.asked_to_end = lambda: self._stop.is_set() + self._in_haste
         graph, done = self.plan.name, threading.Event()
         self.peers = {}
-        # one for each host, or for all of them behind a router
-        sessions: dict[str, Session] = {}
+        points = tuple(sorted(set(map(connected, self.hosts.values()))))
+        # one for all partners, since opening one takes a second while others do not answer
+        session = Session.across(replace(self.way, connect=points)) if points else None
         telling = threading.Thread(target=self._tell, args=(supervisor, done), name=f"tell-{graph}")
         try:
-            for label, point in self.hosts.items():
+            for label in self.hosts:
+                assert session is not None
                 replication = Replication(
                     self.plan, supervisor.ledger, label, starts, self.fingerprint
                 )
-                if point not in sessions:
-                    way = replace(self.way, connect=(connected(point),))
-                    sessions[point] = Session.across(way)
-                clock = self.clocks.readings[label]
-                self.peers[label] = Peer(graph, self.plan.here, replication, clock, sessions[point])
+                way = replace(self.way, connect=(connected(self.hosts[label]),))
+                self.peers[label] = Peer(
+                    graph, self.plan.here, replication, self.clocks.readings[label], session,
+                    partial(Session.across, way),
+                )  # fmt: skip
             if starts > 1:
                 told = [n.recall() for n in self.peers.values()]
                 mine = [t for t in told if t is not None and t.fingerprint == self.fingerprint]
@@ -188,7 +193,7 @@ class HostedGraph:
                 telling.join()
             for peer in self.peers.values():
                 peer.close()
-            for session in sessions.values():
+            if session:
                 session.close()
 
     def _supervise(self, supervisor: Supervisor) -> None:
@@ -203,14 +208,15 @@ class HostedGraph:
                 log.info("%s: %d processes run", self.plan.name, len(supervisor.processes))
 
     def _tell(self, supervisor: Supervisor, done: threading.Event) -> None:
-        anyway_s = 0.0
+        anyway_s = changed_s = 0.0
         try:
-            while not done.wait(TELL_S):
-                now_s = time.monotonic()
+            while not done.wait(TELL_S if time.monotonic() - changed_s < IDLE_S else TELL_IDLE_S):
+                now_s, ready = time.monotonic(), _is_ready(supervisor)
                 anyway = now_s - anyway_s > ANYWAY_S
                 anyway_s = now_s if anyway else anyway_s
-                for peer in self.peers.values():
-                    peer.tell(ready=_is_ready(supervisor), anyway=anyway)
+                told = [peer.tell(ready=ready, anyway=anyway) for peer in self.peers.values()]
+                if any(told) and not anyway:
+                    changed_s = now_s
         except Exception as error:
             log.exception("%s: accounts are no longer sent", self.plan.name)
             supervisor.manager.failure = f"accounts are no longer sent: {error_text(error)}"

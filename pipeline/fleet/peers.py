@@ -14,7 +14,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from pipeline.bus.clocks import Reading
@@ -37,6 +37,7 @@ _MOST = 1 << 63
 PING_S = 0.2
 LOST_S = 1.2  # a host without a reply for this long is lost
 RECALL_S = 3.0
+REOPEN_S = (5.0, 60.0)  # first and longest silence after which a new link is tried
 log = logging.getLogger(__name__)
 
 
@@ -188,14 +189,20 @@ class Peer:
     """The link of this host to another."""
 
     def __init__(
-        self, graph: str, own: str, replication: Replication, reading: Reading, session: Session
-    ) -> None:
-        """`own`: this host's label; `reading`: of the other's clock; `session`: to reach it."""
+        self, graph: str, own: str, replication: Replication, reading: Reading, session: Session,
+        another: Callable[[], Session],
+    ) -> None:  # fmt: skip
+        """`own`: this host's label; `reading`: of the other's clock; `session`: to reach it.
+
+        `another` opens a session of its own, for a link that does not come back.
+        """
         self.label, self._graph, self._own = replication.other, graph, own
         self.replication, self._reading = replication, reading
         self._offset = Offset()
-        self._session = session
-        self._telling: Sender = self._session.sender(self._key(f"accounts/{graph}"), urgent=True)
+        self._session, self._another = session, another
+        self._mine: Session | None = None  # opened here
+        self._sending = threading.Lock()
+        self._telling = self._sender()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._watch, name=f"ping-{self.label}")
         self.answered_s = time.monotonic()
@@ -214,12 +221,17 @@ class Peer:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
+        if self._mine is not None:
+            self._mine.close()
 
-    def tell(self, *, ready: bool, anyway: bool) -> None:
-        """Send the other host this host's half of the accounts, if it has changed."""
+    def tell(self, *, ready: bool, anyway: bool) -> bool:
+        """Send the other host this host's half of the accounts; return False if it is unchanged."""
         accounts = self.replication.tell(ready=ready, anyway=anyway)
-        if accounts is not None and self._telling.matching():
-            self._telling.send(encode(accounts))
+        if accounts is not None:
+            with self._sending:
+                if self._telling.matching():
+                    self._telling.send(encode(accounts))
+        return accounts is not None
 
     def hear(self, accounts: wire.Accounts) -> None:
         """Receive the other host's accounts; ignore them while it counts as lost."""
@@ -235,17 +247,40 @@ class Peer:
         except FoveaError:
             return None  # the graph does not run there
 
+    def _sender(self) -> Sender:
+        return self._session.sender(self._key(f"accounts/{self._graph}"), urgent=True)
+
+    def _reopen(self) -> None:
+        """Reach the other host over a new session.
+
+        A link that broke while its processors were busy with other things may stay away for ever:
+        one side takes it for its predecessor, closes it, and the other does not hear of that.
+        """
+        before, self._mine = self._mine, self._another()
+        with self._sending:
+            self._session = self._mine
+            self._telling = self._sender()
+        if before is not None:
+            before.close()
+
     def _key(self, verb: str) -> str:
         return agent_key(self.label, host_identity(self._own), verb)
 
     def _watch(self) -> None:
+        opened_s, patience_s = time.monotonic(), REOPEN_S[0]
         try:
             while not self._stop.wait(PING_S):
                 self._ping()
                 self._note_clock()
-                silent_s = time.monotonic() - self.answered_s
+                now_s = time.monotonic()
+                silent_s = now_s - self.answered_s
                 if self.lost != (silent_s > LOST_S):
                     self._change(silent_s)
+                if not self.lost:
+                    patience_s = REOPEN_S[0]
+                elif min(silent_s, now_s - opened_s) > patience_s:
+                    self._reopen()
+                    opened_s, patience_s = time.monotonic(), min(2 * patience_s, REOPEN_S[1])
         except Exception as error:
             log.exception("%s: the link with host %s broke", self._graph, self.label)
             self.broken = f"the link with host {self.label} broke: {type(error).__name__}: {error}"

@@ -54,7 +54,7 @@ def test_an_exception_while_a_question_is_answered_ends_no_agent(
 
     plan = plan_of(tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.fleet.agent.permitted", broken)
+        patch.setattr("pipeline.fleet.admission.permitted", broken)
         with pytest.raises(RunError, match="prepare failed: Overflow"):
             up(fleet, plan)
 

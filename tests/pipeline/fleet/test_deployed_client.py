@@ -170,7 +170,7 @@ def test_a_graph_that_is_taken_down_while_it_changes_does_not_come_back(
     control, orders = hosted.supervisor.control, []
     take = control.ask
     monkeypatch.setattr(control, "ask", lambda *order: orders.append(order))
-    change(hosted, asked, agent._store, agent._inspected, lambda _: changed.set())
+    change(hosted, asked, agent._store, agent._admission.inspected, lambda _: changed.set())
 
     def end_late(hosted: HostedGraph) -> None:
         take(*orders[0])  # the supervisor carries it out when the state has been forgotten
