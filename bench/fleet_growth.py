@@ -3,8 +3,9 @@
 One agent a host, all on this machine, over TLS with credentials of their own: each runs one small
 source, whose pictures the first host reads. Measured directly and through a router: the seconds of
 `up`, `ps`, `health` and `down` as whole commands, the time until the clocks are known, and, while
-the graph runs, packets and bytes on the loopback device, processor time and memory. The hosts share
-the cores, and whatever else uses the loopback device meanwhile is counted too.
+the graph runs, packets and bytes on the loopback device, processor time and memory. A round whose
+graph did not come up is counted as failed. The hosts share the cores, and whatever else uses the
+loopback device meanwhile is counted too.
 """
 
 import json
@@ -55,11 +56,16 @@ def main(
     rows = []
     for count in hosts or (1, 10, 50):
         for way in ways or ("direct", "router"):
-            found = []
+            found, failures = [], []
             for number in range(rounds):
                 click.echo(f"{count} hosts, {way}: round {number + 1} of {rounds}", err=True)
-                found.append(measured(count, way == "router", rate=rate, seconds=seconds))
-            rows.append({"hosts": count, "way": way, **summary(found)})
+                try:
+                    found.append(measured(count, way == "router", rate=rate, seconds=seconds))
+                except RunError as error:
+                    failures.append(str(error))
+                    click.echo(failures[-1], err=True)
+            figures = summary(found) if found else {}
+            rows.append({"hosts": count, "way": way, "failed": len(failures), **figures})
             result = {
                 "bench": "fleet_growth", **facts(("eclipse-zenoh", "cryptography")),
                 "rate_hz": rate, "seconds": seconds, "n": rounds, "rows": rows,
@@ -78,7 +84,7 @@ def summary(rounds: list[Row]) -> Row:
     found: Row = {}
     for name in rounds[0]:
         seen = spread([one[name] for one in rounds])
-        found[name] = seen["median"]
+        found[name] = round(float(seen["median"]), 2)
         if name.endswith("_s") and not name.endswith("_per_s"):
             found[f"{name}_range"] = f"{seen['min']} to {seen['max']}"
     return found
