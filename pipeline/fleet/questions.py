@@ -76,19 +76,25 @@ class Questions:
         except queue.Empty:
             return False
         try:
+            said = self._said(question, answer)
+        finally:
+            if question.sends:  # before the reply: the client may send the next file at once
+                self._sending.release()
+        if said is not None:
+            question.reply(said)
+        return True
+
+    def _said(self, question: Question, answer: Answer) -> bytes | None:
+        """Return the reply to a question; None if another thread will send it."""
+        try:
             message = answer(question)
-            if message is not None:
-                question.reply(encode(message))
+            return None if message is None else encode(message)
         except FoveaError as error:
             self.warn_once(f"refused {question.verb} to {question.asker}: {error}")
-            question.reply(encode(refused(str(error))))
+            return encode(refused(str(error)))
         except Exception as error:  # a bug in the agent: keep answering other questions
             log.exception("%s of %s failed", question.verb, question.asker)
-            question.reply(encode(refused(f"{question.verb} failed: {error_text(error)}")))
-        finally:
-            if question.sends:
-                self._sending.release()
-        return True
+            return encode(refused(f"{question.verb} failed: {error_text(error)}"))
 
     def warn_once(self, why: str) -> None:
         """Log a warning, at most once a second."""

@@ -25,8 +25,9 @@ from pipeline.fleet.deploy import (
 )
 from pipeline.fleet.links import asker_permits
 from pipeline.fleet.names import agent_key, host_identity
+from pipeline.fleet.questions import Questions
 from pipeline.protocol import fleet as wire
-from pipeline.protocol.codec import decode_answer
+from pipeline.protocol.codec import decode_answer, encode
 from pipeline.protocol.orders import SwapOrder
 from pipeline.run.rundir import base
 from tests.pipeline.fleet.agents import (
@@ -286,3 +287,19 @@ def test_weights_that_a_host_allows_and_has_not_are_sent(tmp_path: Path) -> None
     finally:
         running.stop()
         (own.state / "weights" / digest).unlink()
+
+
+def test_the_next_file_may_be_sent_as_soon_as_the_reply_to_the_last_one_is_there() -> None:
+    questions = Questions()
+    said: list[bytes] = []
+
+    def send_another(reply: bytes) -> None:
+        said.append(reply)
+        if len(said) == 1:
+            questions.put("user.me", "a/weights", b"second", said.append)
+
+    questions.put("user.me", "a/weights", b"first", send_another)
+    for _ in range(2):
+        assert questions.answer_next(lambda question: wire.Nothing(), slow=True)
+
+    assert said == [encode(wire.Nothing())] * 2

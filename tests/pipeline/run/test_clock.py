@@ -14,7 +14,10 @@ from tests.sample_graphs import LOOP, together
 
 ROOT = Path(__file__).resolve().parents[3]
 # ages of files, validity of certificates, times shown by `ps` and in recordings are by it
-ASKED_FOR_FILES = {"detached.py", "leftovers.py", "recorder.py", "secure.py", "warm_spare.py"}
+ASKED_FOR_FILES = {
+    *("detached.py", "leftovers.py", "recorder.py", "secure.py", "warm_spare.py"),
+    "tracing.py",  # collectors of spans want the time of day
+}
 UNDER_JUMPS = """
 import signal, sys, time
 from pathlib import Path
