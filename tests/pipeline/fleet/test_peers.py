@@ -1,12 +1,18 @@
 """Clocks of other hosts, and the halves of accounts that hosts tell one another."""
 
 from pathlib import Path
+from typing import Any
 
+import pytest
+
+from pipeline.bus.clocks import Reading
 from pipeline.bus.ledger import private_ledger
-from pipeline.fleet.peers import DRIFT, READ, WRITTEN, Offset, Replication, adopt
+from pipeline.fleet.peers import DRIFT, READ, WRITTEN, Offset, Peer, Replication, adopt
 from pipeline.fleet.placement import plan_for
-from pipeline.protocol.fleet import Accounts
+from pipeline.protocol.codec import decode, encode
+from pipeline.protocol.fleet import Accounts, Ping, Pong
 from tests.pipeline.fleet.agents import TRIO, plan_of
+from tests.sample_graphs import until
 
 
 def test_an_offset_lies_within_its_error_whatever_the_delays() -> None:
@@ -124,3 +130,50 @@ def test_a_clock_that_was_reset_is_followed_at_once() -> None:
     seen = clock.estimate(now + 5_000_000)
     assert seen is not None
     assert abs(seen.offset_ns - (2_500_000 - now)) <= seen.error_ns
+
+
+class SilentSession:
+    """A session whose questions nobody answers, or one that tells the time."""
+
+    def __init__(self, *, answers: bool) -> None:
+        self.answers, self.closed = answers, False
+
+    def sender(self, key: str, *, urgent: bool) -> "SilentSession":
+        return self
+
+    def matching(self) -> bool:
+        return False
+
+    def ask(self, key: str, question: bytes, timeout_s: float) -> bytes | None:
+        sent_ns = decode(Ping, question).sent_ns
+        return encode(Pong(sent_ns, sent_ns, sent_ns)) if self.answers else None
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_link_that_stays_away_is_opened_anew_until_one_answers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (("PING_S", 0.005), ("LOST_S", 0.02), ("REOPEN_S", (0.02, 0.04))):
+        monkeypatch.setattr(f"pipeline.fleet.peers.{name}", value)
+    plan = plan_for(plan_of(tmp_path), "sensor")
+    ledger = private_ledger(len(plan.edges), len(plan.nodes))
+    opened: list[SilentSession] = []
+
+    def another() -> Any:
+        opened.append(SilentSession(answers=len(opened) == 2))
+        return opened[-1]
+
+    first: Any = SilentSession(answers=False)
+    peer = Peer("trio", "sensor", Replication(plan, ledger, "viewer"), Reading(), first, another)
+    peer.begin()
+    try:
+        until(lambda: len(opened) == 3 and not peer.lost)
+    finally:
+        peer.close()
+
+    assert peer.broken == ""
+    assert peer.losses == 1
+    assert not first.closed  # others use it too
+    assert [session.closed for session in opened] == [True, True, True]
