@@ -223,7 +223,7 @@ def measured(hosts: int, routed: bool, *, rate: float, seconds: float) -> Row:
         stack.enter_context(agents.running())
         credentials = f"authority/{user_identity(USER)}"
         up_s, _ = agents.fovea("up", "graph.yaml", "--credentials", credentials)
-        clocks_s = until(lambda: clocks_known(agents.states()))
+        clocks_s = until(lambda: clocks_known(agents))
         found = {"up_s": round(up_s, 2), "clocks_known_after_s": round(clocks_s, 2)}
         found |= steady(agents, seconds)
         for command in ("ps", "health"):
@@ -266,8 +266,12 @@ def traffic() -> tuple[int, int]:
     return seen.packets_sent, seen.bytes_sent
 
 
-def clocks_known(states: dict[str, Any]) -> bool:
-    """Whether every host knows the clock of every partner."""
+def clocks_known(agents: Agents) -> bool:
+    """Whether every host answers, and knows the clock of every partner."""
+    try:
+        states = agents.states()
+    except RunError:
+        return False
     return all(link["clock_error_ms"] > 0 for state in states.values() for link in state["hosts"])
 
 

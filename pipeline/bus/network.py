@@ -18,10 +18,17 @@ NODE_PORTS = (7500, 7599)  # default range for nodes with an edge to another hos
 MOST_SESSIONS = 256  # each of 64 hosts, those who watch, and links that have not yet ended
 MOST_ROUTED = 1024  # sessions at a router
 HALF_OPEN = 128  # links being opened at once, so that a flood of them fills no memory
-OPEN_MS = 3000
 RETRY_MS = (100, 1000)  # first and longest pause between attempts to reach a host
-# links to a host that has vanished are closed after this time without a sign of life
+# An attempt to open a link is given up after this time. Zenoh's TLS listener pauses 100 ms after
+# each handshake that was given up (its issue 2685), ten in a second: where more openers than that
+# lose patience with a router that is busy, it hears only those that have gone, and none gets in.
+OPEN_MS = 10_000
+ROUTED_OPEN_MS = 20_000
+# Links to a host that has vanished are closed after this time without a sign of life. A pause of a
+# router would end all of its links; that a cable was pulled is known sooner (`bus.sockets`).
 LEASE_MS = 2000
+ROUTED_LEASE_MS = 10_000
+ALIVE_MS = 500  # from one sign of life to the next
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +63,9 @@ class Network:
             if not point.startswith(wanted):
                 raise SettingsError(f"{point}: expected {wanted}… here")
         first, last = RETRY_MS
+        routed = self.region or self.routes
+        open_ms = ROUTED_OPEN_MS if routed else OPEN_MS
+        lease_ms = ROUTED_LEASE_MS if routed else LEASE_MS
         queue: dict[str, Any] = {"size": {"data": 16, "real_time": 16}}
         if self.timeout_ms:
             wait_us = 1000 * self.timeout_ms
@@ -76,12 +86,12 @@ class Network:
             "transport": {
                 "shared_memory": {"enabled": False},
                 "unicast": {
-                    "open_timeout": OPEN_MS, "accept_timeout": OPEN_MS,
-                    "accept_pending": HALF_OPEN, 
+                    "open_timeout": open_ms, "accept_timeout": open_ms,
+                    "accept_pending": HALF_OPEN,
                     "max_sessions": MOST_ROUTED if self.routes else MOST_SESSIONS,
                 },
                 "link": {
-                    "tx": {"lease": LEASE_MS, "keep_alive": 4, "queue": queue},
+                    "tx": {"lease": lease_ms, "keep_alive": lease_ms // ALIVE_MS, "queue": queue},
                     "rx": {"max_message_size": LARGEST_BYTES},
                     **({"tls": _tls(Path(self.credentials))} if self.credentials else {}),
                 },

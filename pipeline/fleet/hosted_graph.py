@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import msgspec
 
@@ -22,7 +21,7 @@ from pipeline.codec import to_bytes
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet.agent_file import GraphStore
 from pipeline.fleet.names import connected
-from pipeline.fleet.peers import Peer, Replication, adopt
+from pipeline.fleet.peers import Peer, Replication, Sessions, adopt
 from pipeline.fleet.placement import partners
 from pipeline.graph.plan import Edge, Plan
 from pipeline.graph.ports import Ports
@@ -163,21 +162,18 @@ class HostedGraph:
         supervisor.manager.asked_to_end = lambda: self._stop.is_set() + self._in_haste
         graph, done = self.plan.name, threading.Event()
         self.peers = {}
-        points = tuple(sorted(set(map(connected, self.hosts.values()))))
-        # one for all partners, since opening one takes a second while others do not answer
-        session = Session.across(replace(self.way, connect=points)) if points else None
+        points = {label: connected(point) for label, point in self.hosts.items()}
+        sessions = Sessions(self._opened, points.values())
         telling = threading.Thread(target=self._tell, args=(supervisor, done), name=f"tell-{graph}")
         try:
-            for label in self.hosts:
-                assert session is not None
+            for label, point in points.items():
                 replication = Replication(
                     self.plan, supervisor.ledger, label, starts, self.fingerprint
                 )
-                way = replace(self.way, connect=(connected(self.hosts[label]),))
+                reading = self.clocks.readings[label]
                 self.peers[label] = Peer(
-                    graph, self.plan.here, replication, self.clocks.readings[label], session,
-                    partial(Session.across, way),
-                )  # fmt: skip
+                    graph, self.plan.here, replication, reading, sessions, point
+                )
             if starts > 1:
                 told = [n.recall() for n in self.peers.values()]
                 mine = [t for t in told if t is not None and t.fingerprint == self.fingerprint]
@@ -193,8 +189,9 @@ class HostedGraph:
                 telling.join()
             for peer in self.peers.values():
                 peer.close()
-            if session:
-                session.close()
+
+    def _opened(self, points: tuple[str, ...]) -> Session:
+        return Session.across(replace(self.way, connect=points))
 
     def _supervise(self, supervisor: Supervisor) -> None:
         supervisor.manager.begin_all()

@@ -13,7 +13,7 @@ slots and accounts thus work across hosts. A restarted host asks for its former 
 import logging
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
@@ -185,22 +185,57 @@ def _values(account: EdgeAccount, names: tuple[str, ...]) -> tuple[int, ...]:
     return tuple(int(getattr(account, name)) for name in names)
 
 
+class Sessions:
+    """The sessions over which other hosts are reached; each is closed once no host needs it."""
+
+    def __init__(self, opened: Callable[[tuple[str, ...]], Session], points: Iterable[str]) -> None:
+        """`opened`: opens a session to end points. The first one is for all of `points`, since
+        opening one takes a second while others do not answer.
+        """
+        self._opened = opened
+        everywhere = tuple(sorted(set(points)))
+        self._newest = dict.fromkeys(everywhere, opened(everywhere)) if everywhere else {}
+        self._users: Counter[Session] = Counter()
+        self._lock = threading.Lock()
+
+    def join(self, point: str) -> Session:
+        """Return the newest session to an end point, for one host behind it."""
+        with self._lock:
+            self._users[self._newest[point]] += 1
+            return self._newest[point]
+
+    def renew(self, point: str, before: Session) -> Session:
+        """Return a newer session than the one before, which is still to be left.
+
+        Hosts behind one router share it.
+        """
+        with self._lock:
+            if self._newest[point] is before:
+                self._newest[point] = self._opened((point,))
+        return self.join(point)
+
+    def leave(self, session: Session) -> None:
+        """Reach a host over this session no longer."""
+        with self._lock:
+            self._users[session] -= 1
+            unused = not self._users[session]
+        if unused:
+            session.close()
+
+
 class Peer:
     """The link of this host to another."""
 
     def __init__(
-        self, graph: str, own: str, replication: Replication, reading: Reading, session: Session,
-        another: Callable[[], Session],
+        self, graph: str, own: str, replication: Replication, reading: Reading,
+        sessions: Sessions, point: str,
     ) -> None:  # fmt: skip
-        """`own`: this host's label; `reading`: of the other's clock; `session`: to reach it.
-
-        `another` opens a session of its own, for a link that does not come back.
-        """
+        """`own`: this host's label; `reading`: of the other's clock; `point`: where it is."""
         self.label, self._graph, self._own = replication.other, graph, own
         self.replication, self._reading = replication, reading
         self._offset = Offset()
-        self._session, self._another = session, another
-        self._mine: Session | None = None  # opened here
+        self._sessions, self._point = sessions, point
+        self._session = sessions.join(point)
         self._sending = threading.Lock()
         self._telling = self._sender()
         self._stop = threading.Event()
@@ -221,8 +256,7 @@ class Peer:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
-        if self._mine is not None:
-            self._mine.close()
+        self._sessions.leave(self._session)
 
     def tell(self, *, ready: bool, anyway: bool) -> bool:
         """Send the other host this host's half of the accounts; return False if it is unchanged."""
@@ -256,12 +290,11 @@ class Peer:
         A link that broke while its processors were busy with other things may stay away for ever:
         one side takes it for its predecessor, closes it, and the other does not hear of that.
         """
-        before, self._mine = self._mine, self._another()
+        after = self._sessions.renew(self._point, self._session)
         with self._sending:
-            self._session = self._mine
+            before, self._session = self._session, after
             self._telling = self._sender()
-        if before is not None:
-            before.close()
+        self._sessions.leave(before)
 
     def _key(self, verb: str) -> str:
         return agent_key(self.label, host_identity(self._own), verb)

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.bus.clocks import Reading
 from pipeline.bus.ledger import private_ledger
-from pipeline.fleet.peers import DRIFT, READ, WRITTEN, Offset, Peer, Replication, adopt
+from pipeline.fleet.peers import DRIFT, READ, WRITTEN, Offset, Peer, Replication, Sessions, adopt
 from pipeline.fleet.placement import plan_for
 from pipeline.protocol.codec import decode, encode
 from pipeline.protocol.fleet import Accounts, Ping, Pong
@@ -161,19 +161,44 @@ def test_a_link_that_stays_away_is_opened_anew_until_one_answers(
     ledger = private_ledger(len(plan.edges), len(plan.nodes))
     opened: list[SilentSession] = []
 
-    def another() -> Any:
-        opened.append(SilentSession(answers=len(opened) == 2))
+    def another(points: tuple[str, ...]) -> Any:
+        opened.append(SilentSession(answers=len(opened) == 3))
         return opened[-1]
 
-    first: Any = SilentSession(answers=False)
-    peer = Peer("trio", "sensor", Replication(plan, ledger, "viewer"), Reading(), first, another)
+    replication, sessions = Replication(plan, ledger, "viewer"), Sessions(another, ["there"])
+    peer = Peer("trio", "sensor", replication, Reading(), sessions, "there")
     peer.begin()
     try:
-        until(lambda: len(opened) == 3 and not peer.lost)
+        until(lambda: len(opened) == 4 and not peer.lost)
     finally:
         peer.close()
 
     assert peer.broken == ""
     assert peer.losses == 1
-    assert not first.closed  # others use it too
-    assert [session.closed for session in opened] == [True, True, True]
+    assert [session.closed for session in opened] == [True] * 4
+
+
+def test_a_session_is_closed_once_no_host_needs_it_and_hosts_of_a_router_share_it() -> None:
+    opened: dict[SilentSession, tuple[str, ...]] = {}
+
+    def another(points: tuple[str, ...]) -> Any:
+        session = SilentSession(answers=True)
+        opened[session] = points
+        return session
+
+    sessions = Sessions(another, ["router", "alone", "router"])
+    left, right, alone = sessions.join("router"), sessions.join("router"), sessions.join("alone")
+    newer = sessions.renew("router", left)
+    sessions.leave(left)
+
+    assert left is right is alone
+    assert sessions.renew("router", right) is newer
+    sessions.leave(right)
+    assert not any(session.closed for session in opened)  # the first one is for the host alone, too
+    sessions.leave(sessions.renew("alone", alone))
+    sessions.leave(alone)
+    assert list(opened.values()) == [("alone", "router"), ("router",), ("alone",)]
+    assert [session.closed for session in opened] == [True, False, True]
+    sessions.leave(newer)
+    sessions.leave(newer)
+    assert all(session.closed for session in opened)
