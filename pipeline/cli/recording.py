@@ -61,7 +61,10 @@ def record_command(
         raise click.UsageError("--frames, --source, --set, --clock, --with: they go with --inline")
     client = find(graph)
     if not isinstance(client, LocalGraph):
-        raise RunError(f"{graph}: expected a graph of this host, got one of several hosts")
+        raise RunError(
+            f"{graph}: expected a graph of this host, got one of several hosts; there a node of "
+            f"the graph records: {recorder.OPERATOR}"
+        )
     given = {"file_mb": file_mb, "file_s": file_s, "ring_s": ring_s, "compression": compression}
     with signals.Interruption() as asked:
         what = recorder.chosen(client, edges)

@@ -46,7 +46,10 @@ def attached(client: GraphClient, settings: Mapping[str, Any]) -> Iterator[str]:
     on this host, or has nothing that can be shown.
     """
     if not isinstance(client, LocalGraph):
-        raise RunError(f"{client.name}: expected a graph of this host, got one that is deployed")
+        raise RunError(
+            f"{client.name}: expected a graph of this host, got one of several hosts; there a node "
+            f"of the graph shows it: {VIEWER}"
+        )
     clear_leftovers(client)
     name = f"viewer_{os.getpid()}"
 

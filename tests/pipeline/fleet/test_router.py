@@ -15,8 +15,9 @@ from typing import Any
 import psutil
 import pytest
 
-from pipeline.errors import SettingsError
+from pipeline.errors import FoveaError, SettingsError
 from pipeline.fleet.router import permits_of, read_router
+from pipeline.recording.reader import Recording
 from tests.sample_graphs import until
 
 pytest.importorskip("cryptography", reason="needs the fleet extra")
@@ -34,6 +35,11 @@ nodes:
     operator: tests.samples:PassEvery
     host: brain
     inputs: {frame: capture.context}
+  record:
+    operator: operators.record:Record
+    host: brain
+    inputs: {frame_1: capture.context}
+    settings: {chunk_s: 0.1, outputs: {frame_1: capture.context}}
 """
 
 
@@ -90,6 +96,8 @@ def site() -> Iterator[Site]:
         site = Site(Path(folder))
         try:
             site.secure("credentials")
+            with (site.folder / "credentials/host.brain/agent.yaml").open("a") as own:
+                own.write(f"settings: {{record: {{path: {site.folder}/seen.mcap}}}}\n")
             site.router()
             for label in ("eye", "brain"):
                 site.start("agent", "--config", f"credentials/host.{label}/agent.yaml")
@@ -116,6 +124,16 @@ def test_a_graph_runs_over_the_router_and_loses_nothing(site: Site) -> None:
     edge = site.state("brain")[0]["edges"][0]
     assert edge["account"]["dropped"] == {}
     assert not edge["broken"]
+
+
+def test_a_recorder_on_one_host_records_what_another_sends_through_the_router(site: Site) -> None:
+    def recorded() -> int:
+        try:
+            return len(Recording(site.folder / "seen.mcap").messages["capture.context"])
+        except (FoveaError, KeyError):
+            return 0
+
+    until(lambda: recorded() > 30)
 
 
 def test_nothing_listens_but_the_router(site: Site) -> None:
