@@ -39,7 +39,7 @@ nodes:
     operator: operators.record:Record
     host: brain
     inputs: {frame_1: capture.context}
-    settings: {chunk_s: 0.1, outputs: {frame_1: capture.context}}
+    settings: {chunk_s: 0.1}
 """
 
 
@@ -97,7 +97,9 @@ def site() -> Iterator[Site]:
         try:
             site.secure("credentials")
             with (site.folder / "credentials/host.brain/agent.yaml").open("a") as own:
-                own.write(f"settings: {{record: {{path: {site.folder}/seen.mcap}}}}\n")
+                file = {"path": str(site.folder / "seen.mcap")}
+                named = {"outputs": {"frame_1": "capture.context"}}
+                own.write(f"settings: {json.dumps({'record': file | named})}\n")
             site.router()
             for label in ("eye", "brain"):
                 site.start("agent", "--config", f"credentials/host.{label}/agent.yaml")
