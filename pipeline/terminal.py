@@ -58,10 +58,10 @@ class _Handler(RichHandler):
             self.console.file.flush()
 
 
-def log_handler() -> logging.Handler:
+def log_handler(*, stderr: bool = False) -> logging.Handler:
     """Return a handler without highlighting, for which Rich takes minutes on a long record."""
     handler = _Handler(
-        console=console(), show_path=False, highlighter=NullHighlighter(), keywords=[]
+        console=console(stderr=stderr), show_path=False, highlighter=NullHighlighter(), keywords=[]
     )  # fmt: skip
     handler.setFormatter(_Bounded("%(message)s"))
     return handler

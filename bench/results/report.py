@@ -183,6 +183,11 @@ PLACES = {
         title="Generated input: graph files, orders, bytes",
     ),
     "other_user": Place(section="Several hosts and security", order=7, title="Another user"),
+    "tuned": Place(section="Time and transport", order=4, title="What `fovea tune` changes"),
+    "replays": Place(
+        section="Time and transport", order=6,
+        title="Recorded and replayed, bit for bit; and other settings on the same light",
+    ),
     "fleet_growth": Place(
         section="Several hosts and security", order=8,
         title="How a deployment grows with its hosts, all of them on one machine",

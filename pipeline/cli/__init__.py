@@ -134,8 +134,10 @@ def commands(context: click.Context) -> None:
     from pipeline.bus.session import silence
     from pipeline.terminal import log_handler
 
-    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[log_handler()])
-    if context.invoked_subcommand in LOGGING:
+    logs = context.invoked_subcommand in LOGGING
+    handler = log_handler(stderr=not logs)
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[handler])
+    if logs:
         output.forgive()
     else:
         silence()

@@ -68,3 +68,13 @@ def test_a_record_that_goes_to_a_file_is_one_line(capsys: pytest.CaptureFixture[
 
     (line,) = capsys.readouterr().out.splitlines()
     assert line.endswith(f" INFO     {words}")
+
+
+def test_a_log_beside_a_result_is_written_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    said = logging.LogRecord("fovea", logging.INFO, "", 0, "found no library", None, None)
+
+    log_handler(stderr=True).emit(said)
+
+    written = capsys.readouterr()
+    assert "found no library" in written.err
+    assert written.out == ""
