@@ -1,7 +1,8 @@
-"""What `fovea tune` changes: `python -m bench.tuned whole_pitch text [--json FILE]`.
+"""What `fovea tune` changes: `python -m bench.tuned tracking whole_pitch [--set …] [--json FILE]`.
 
 Tunes each graph on this machine, then runs it in real time as it is and as proposed, in turn, a
-pair a round; the ratio is that of a pair. Where nothing is proposed, nothing is run.
+pair a round; the ratio is that of a pair. Where nothing is proposed, nothing is run. With `--set`
+the graph begins with other settings than the shipped ones.
 """
 
 import json
@@ -29,19 +30,27 @@ Row = dict[str, Any]
 
 @click.command(cls=Bench, help=__doc__)
 @click.argument("graphs", nargs=-1, required=True, type=GRAPH_FILE)
+@click.option("--set", "begun", multiple=True, metavar="NODE.SETTING=VALUE")
 @click.option("--frames", default=240, show_default=True, type=click.IntRange(10))
 @click.option("--rounds", default=3, show_default=True, type=click.IntRange(1))
 @JSON
-def main(graphs: tuple[Path, ...], frames: int, rounds: int, path: Path | None) -> None:
+def main(
+    graphs: tuple[Path, ...], begun: tuple[str, ...], frames: int, rounds: int, path: Path | None
+) -> None:
     """Tune each graph and run it before and after."""
     console, rows = Console(), list[Row]()
     most = min(MOST_THREADS, int(available_cores()))
     for graph in graphs:
-        plan = load(graph, Overlay())
+        plan = load(graph, Overlay(changes=begun))
         proposed = changes_of(measured(plan, rate_of(plan), TRIED, most)[0])
         changes = tuple(f"{n}.{k}={v}" for n, s in proposed.items() for k, v in s.items())
-        row: Row = {"graph": file_name(graph), "proposed": ", ".join(changes)}
-        rows.append(row if not changes else row | compared(graph, changes, frames, rounds, console))
+        row: Row = {
+            "graph": file_name(graph), "begun with": ", ".join(begun),
+            "proposed": ", ".join(changes),
+        }  # fmt: skip
+        if changes:
+            row |= compared(graph, begun, (*begun, *changes), frames, rounds, console)
+        rows.append(row)
         rows.sort(key=len, reverse=True)  # the first one names the columns
         result = {"bench": "tuned", **facts(), "frames": frames, "n": rounds, "rows": rows}
         if path:
@@ -50,20 +59,21 @@ def main(graphs: tuple[Path, ...], frames: int, rounds: int, path: Path | None) 
 
 
 def compared(
-    graph: Path, changes: tuple[str, ...], frames: int, rounds: int, console: Console
-) -> Row:
+    graph: Path, begun: tuple[str, ...], changes: tuple[str, ...], frames: int, rounds: int,
+    console: Console,
+) -> Row:  # fmt: skip
     """Return figures of both, and their ratio in pairs."""
     pairs = []
     for number in range(rounds):
         console.print(f"{graph.stem}: round {number + 1} of {rounds}")
-        both = [(), changes] if number % 2 == 0 else [changes, ()]
+        both = (begun, changes) if number % 2 == 0 else (changes, begun)
         found = {
             each: figures(
                 processes(load(graph, Overlay(None, each, "realtime")), frames, 0.0, console)
             )
             for each in both
         }
-        pairs.append((found[()], found[changes]))
+        pairs.append((found[begun], found[changes]))
     row: Row = {}
     for name in pairs[0][0]:
         for which, values in (

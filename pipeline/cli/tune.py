@@ -22,7 +22,7 @@ from pipeline.graph.plan import Plan
 from pipeline.inference import available
 from pipeline.planner.machine import this_machine
 from pipeline.planner.planner import examine
-from pipeline.planner.thread_plan import Choice, Way, choose, cores_needed
+from pipeline.planner.thread_plan import Choice, Way, choose_all, cores_needed
 from pipeline.providers import AUTO, CPU, NOT_AUTOMATIC
 from pipeline.run.stage_times import Recorded, record, replayed, tunable
 from pipeline.whole_file import write_whole
@@ -98,7 +98,7 @@ def measured(
         task = shown.add_task("run the graph", total=frames)
         kept = record(plan, nodes, frames, LIMIT_S, lambda: shown.advance(task))
         task = shown.add_task("measure", total=sum(len(ways) for ways in jobs.values()))
-        found = {}
+        found: dict[str, tuple[Way, list[Way]]] = {}
         for name, ways in jobs.items():
             shown.update(task, description=name)
             own = nodes[name]
@@ -109,9 +109,9 @@ def measured(
                 other = settings.get("provider", provider)
                 others.append(_measured(plan, kept, name, settings, number, other))
                 shown.advance(task)
-            found[name] = choose(now, others, rate_hz)
-    others_ms = kept.cpu_ms - sum(choice.now.cpu_ms for choice in found.values())
-    return found, max(0.0, others_ms)
+            found[name] = (now, others)
+    others_ms = max(0.0, kept.cpu_ms - sum(now.cpu_ms for now, _others in found.values()))
+    return choose_all(found, others_ms, rate_hz, available_cores()), others_ms
 
 
 def ways_of(settings: Any, most_threads: int) -> list[tuple[int, dict[str, Any]]]:
@@ -168,7 +168,8 @@ def table_of(choices: dict[str, Choice], rate_hz: float) -> Table:
 def verdict(choices: dict[str, Choice], rate_hz: float, needed: float, cores: float) -> list[str]:
     """Return sentences: what is too slow, and whether the cores suffice."""
     late = [name for name, choice in choices.items() if not choice.in_time]
-    found = [f"{name}: no way answers within {1000 / rate_hz:.1f} ms" for name in late]
+    none = "too slow for" if needed > cores else "no way answers within"
+    found = [f"{name}: {none} {1000 / rate_hz:.1f} ms" for name in late]
     fits = "enough" if needed <= cores else "too few"
     found.append(f"a frame's work keeps {needed:.2f} of {cores:g} cores busy: {fits}")
     if (load := os.getloadavg()[0]) > 1:

@@ -1,9 +1,10 @@
 """Threads and providers: the cheapest way that is in time, the fastest where none is."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.planner.thread_plan import SAME, SAME_MS, Way, choose, cores_needed
+from pipeline.planner.thread_plan import SAME, SAME_MS, Way, choose, choose_all, cores_needed
 
 WAYS = st.builds(
     Way,
@@ -53,3 +54,16 @@ def test_the_cores_are_those_of_all_that_is_done_in_a_frame() -> None:
     kept = choose(way(20, 15), [], 30)
 
     assert round(cores_needed(5, {"a": kept, "b": kept}, 30), 6) == 1.05
+
+
+@pytest.mark.parametrize(("cores", "threads", "in_time"), [(4.0, 2, True), (2.0, 1, False)])
+def test_a_faster_way_that_costs_more_is_chosen_only_where_the_cores_suffice_for_all(
+    cores: float, threads: int, in_time: bool
+) -> None:
+    now = Way(threads=1, provider="", wall_ms=38.0, cpu_ms=35.0)
+    faster = Way(threads=2, provider="", wall_ms=32.0, cpu_ms=41.0)
+
+    choice = choose_all({"saliency": (now, [faster])}, 60.0, 30.0, cores)["saliency"]
+
+    assert choice.chosen.threads == threads
+    assert choice.in_time == in_time
