@@ -20,6 +20,7 @@ from operators.saliency.description import Description, over
 from pipeline import Frame, codec
 from pipeline.cli import commands
 from pipeline.cli.tasks import VERBS, command_of
+from pipeline.fleet import agent_file
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import SOURCE_KEYS, Overlay
 from pipeline.graph.plan import Restart
@@ -186,14 +187,16 @@ def test_every_python_block_compiles_and_its_file_is_named(block: Block) -> None
 
 
 @pytest.mark.parametrize("block", blocks("yaml"), ids=lambda b: b.name)
-def test_every_yaml_block_is_a_graph_a_part_of_one_a_source_a_task_or_a_side_file(
+def test_every_yaml_block_is_a_graph_a_part_of_one_a_source_a_task_or_another_file(
     block: Block, saved: Path
 ) -> None:
     path = saved / "block.yaml"
     path.write_text(block.text)
     document = YAML(typ="safe").load(block.text)
 
-    if "settings" in document:
+    if "label" in document:
+        assert agent_file.read(path).file.settings
+    elif "settings" in document:
         assert load(TRACKING, Overlay(source=path)).nodes
     elif "names" in document:  # what lies beside a detector
         assert over(Description(), path).names
