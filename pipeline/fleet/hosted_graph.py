@@ -189,6 +189,7 @@ class HostedGraph:
                 telling.join()
             for peer in self.peers.values():
                 peer.close()
+            sessions.close()
 
     def _opened(self, points: tuple[str, ...]) -> Session:
         return Session.across(replace(self.way, connect=points))

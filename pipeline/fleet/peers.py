@@ -13,7 +13,7 @@ slots and accounts thus work across hosts. A restarted host asks for its former 
 import logging
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
@@ -195,7 +195,7 @@ class Sessions:
         self._opened = opened
         everywhere = tuple(sorted(set(points)))
         self._newest = dict.fromkeys(everywhere, opened(everywhere)) if everywhere else {}
-        self._users: Counter[Session] = Counter()
+        self._users = dict.fromkeys(self._newest.values(), 0)  # of each open session
         self._lock = threading.Lock()
 
     def join(self, point: str) -> Session:
@@ -210,17 +210,29 @@ class Sessions:
         Hosts behind one router share it.
         """
         with self._lock:
-            if self._newest[point] is before:
-                self._newest[point] = self._opened((point,))
-        return self.join(point)
+            newest = self._newest[point]
+            if newest is before or newest not in self._users:
+                newest = self._newest[point] = self._opened((point,))
+                self._users[newest] = 0
+            self._users[newest] += 1
+            return newest
 
     def leave(self, session: Session) -> None:
         """Reach a host over this session no longer."""
         with self._lock:
             self._users[session] -= 1
             unused = not self._users[session]
+            if unused:
+                del self._users[session]
         if unused:
             session.close()
+
+    def close(self) -> None:
+        """Close what is still open."""
+        with self._lock:
+            for session in self._users:
+                session.close()
+            self._users.clear()
 
 
 class Peer:

@@ -202,3 +202,17 @@ def test_a_session_is_closed_once_no_host_needs_it_and_hosts_of_a_router_share_i
     sessions.leave(newer)
     sessions.leave(newer)
     assert all(session.closed for session in opened)
+
+
+def test_sessions_that_no_host_has_begun_to_use_are_closed_in_the_end() -> None:
+    opened: list[SilentSession] = []
+
+    def another(points: tuple[str, ...]) -> Any:
+        opened.append(SilentSession(answers=True))
+        return opened[-1]
+
+    sessions = Sessions(another, ["there"])
+    sessions.close()
+    sessions.close()
+
+    assert [session.closed for session in opened] == [True]
