@@ -12,8 +12,10 @@ from pipeline.cli.arguments import GRAPH as GRAPH_NAME
 from pipeline.cli.arguments import JSON, print_json
 from pipeline.cli.control import end
 from pipeline.cli.detached import attach as attach_here
+from pipeline.cli.files import try_recording
+from pipeline.cli.running import built_settings
 from pipeline.client.find import find
-from pipeline.errors import RunError, SettingsError
+from pipeline.errors import FoveaError, RunError, SettingsError
 from pipeline.extras import need
 from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 from pipeline.fleet import secure
@@ -36,8 +38,12 @@ from pipeline.fleet.provisioning import check_addressed, issue_for, placed
 from pipeline.fleet.router import Router
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
+from pipeline.planner.forecasts import forecasts
+from pipeline.planner.pool_plan import pool_plan
 from pipeline.renamed import renamed_option
+from pipeline.run.heartbeat import Heartbeat
 from pipeline.run.reaper import Reaper
 from pipeline.run.rundir import running
 from pipeline.settings import suggest
@@ -55,8 +61,14 @@ CREDENTIALS = click.option(
     "--label", default="", help="Without --config: this host's label; any operator may run."
 )
 @click.option("--state", type=click.Path(path_type=Path, file_okay=False), help="State folder.")
+@click.option(
+    "--heartbeat", type=click.Path(path_type=Path, dir_okay=False),
+    help="Renew this file while it runs, for a watchdog.",
+)  # fmt: skip
 @click.option("--unit", is_flag=True, help="Print a systemd unit and exit.")
-def agent_command(config: Path | None, label: str, state: Path | None, unit: bool) -> None:
+def agent_command(
+    config: Path | None, label: str, state: Path | None, heartbeat: Path | None, unit: bool
+) -> None:
     """Run parts of graphs on this host for its users, as permitted by its configuration."""
     if unit:
         config = config or Path("agent.yaml")
@@ -72,7 +84,12 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
     )
     if state:
         own = replace(own, file=replace(own.file, state=str(state.resolve())))
-    with Interruption(last=True) as asked, Agent(own, Reaper()) as agent:
+    if heartbeat:
+        try_recording(heartbeat, "--heartbeat")
+    with (
+        Interruption(last=True) as asked, Heartbeat(heartbeat) as alive,
+        Agent(own, Reaper(), alive) as agent,
+    ):  # fmt: skip
         asked.on_signal = agent.stop
         if asked.count:  # asked to end during the start
             agent.stop()
@@ -184,8 +201,18 @@ def down_command(graph: str, as_json: bool) -> None:
 def export_command(engine: str, graph: Path, credentials: Path, name: str | None) -> None:
     """Print a graph's hosts as units or manifests for another engine."""
     who = check_user(name or default_user(), "--user")
-    bundle = Bundle(graph.resolve(), credentials.resolve(), who)
-    click.echo(KINDS[engine](load(graph), bundle), nl=False)
+    plan = load(graph)
+    bundle = Bundle(graph.resolve(), credentials.resolve(), who, _known_pools(plan))
+    click.echo(KINDS[engine](plan, bundle), nl=False)
+
+
+def _known_pools(plan: Plan) -> dict[str, int]:
+    """Return the bytes of the pools whose size settings tell; none where settings need a host."""
+    try:
+        rows = pool_plan(plan, forecasts(plan, built_settings(plan))).rows
+    except FoveaError:  # e.g. weights that only the host has
+        return {}
+    return {row.output: row.pool_bytes for row in rows if row.pool_bytes is not None}
 
 
 @click.group("secure")

@@ -35,6 +35,10 @@ console = terminal.console()
 @click.option("--save", type=click.Path(path_type=Path), help="Write a Rerun recording.")
 @click.option("--report", type=click.Path(path_type=Path), help="Write the report as JSON.")
 @click.option("--verbose", is_flag=True, help="Print every edge and stage below the verdict.")
+@click.option(
+    "--heartbeat", type=click.Path(path_type=Path, dir_okay=False),
+    help="Renew this file while it runs, for a watchdog.",
+)  # fmt: skip
 @click.option("--detach", is_flag=True, help="Return once it runs; `fovea stop` stops it.")
 @click.option("--json", "as_json", is_flag=True, help="With --detach: print JSON.")
 @click.option("--detached", type=int, hidden=True)
@@ -46,6 +50,8 @@ def run(detach: bool, as_json: bool, detached: int | None, **given: Any) -> None
         raise click.UsageError("--inline runs in lockstep: limit it by --frames")
     if detach and given["inline"]:
         raise click.UsageError("--detach and --inline: give one of them")
+    if given["heartbeat"] and given["inline"]:
+        raise click.UsageError("--heartbeat: goes with processes, not with --inline")
     if as_json and not detach:
         raise click.UsageError("--json: goes with --detach; `--report FILE` writes the report")
     if detach:
@@ -63,7 +69,7 @@ def run(detach: bool, as_json: bool, detached: int | None, **given: Any) -> None
 
 def _run(
     *, graph: Path, inline: bool, frames: int | None, duration_s: float | None,
-    save: Path | None, report: Path | None, verbose: bool,
+    save: Path | None, report: Path | None, verbose: bool, heartbeat: Path | None,
     when_it_runs: Callable[[str], None] | None = None,
     note: Callable[[int, str, Report], None] = lambda *_: None, **laid: Any,
 ) -> int:  # fmt: skip
@@ -72,6 +78,8 @@ def _run(
         laid["clock"] = "lockstep"
     if report:
         try_report(report, "--report")
+    if heartbeat:
+        try_recording(heartbeat, "--heartbeat")
     if save:
         try_recording(save, "--save")
     plan, unwritten = load_overlaid(graph, save=save, **laid), ""
@@ -82,7 +90,14 @@ def _run(
             result = running.inline(plan, frames or 0, console, asked, verbose=verbose)
         else:
             result = running.processes(
-                plan, frames or 0, duration_s or 0.0, console, asked, Reaper(), when_it_runs
+                plan,
+                frames or 0,
+                duration_s or 0.0,
+                console,
+                asked,
+                Reaper(),
+                when_it_runs,
+                heartbeat,
             )
         if report:
             unwritten = write_report(report, result, "--report")
@@ -107,7 +122,7 @@ def _detach(given: Mapping[str, Any], *, as_json: bool) -> None:
     options = {
         "--source": given["source"], "--clock": given["clock"], "--frames": given["frames"],
         "--duration-s": given["duration_s"], "--save": given["save"], "--report": given["report"],
-        "--settings": given["settings"],
+        "--settings": given["settings"], "--heartbeat": given["heartbeat"],
     }  # fmt: skip
     words = [f"{name}={value}" for name, value in options.items() if value is not None]
     words += [f"--set={change}" for change in given["changes"]]

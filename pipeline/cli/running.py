@@ -5,6 +5,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -16,6 +17,7 @@ from pipeline.cause import cause_of, is_signal
 from pipeline.contract import BEFORE, SOURCE, settings_of
 from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, WeightsError
 from pipeline.graph.plan import Node, Plan, load_operator, sources
+from pipeline.run.heartbeat import Heartbeat
 from pipeline.run.inline import InlineRunner
 from pipeline.run.loaded_graph import account_of
 from pipeline.run.reaper import Reaper
@@ -100,25 +102,32 @@ def _thread_errors(found: list[BaseException]) -> Iterator[None]:
 def processes(
     plan: Plan, frames: int, duration_s: float, console: Console,
     asked: Interruption | None = None, reaper: Reaper | None = None,
-    when_it_runs: Callable[[str], None] | None = None,
+    when_it_runs: Callable[[str], None] | None = None, heartbeat: Path | None = None,
 ) -> Report:  # fmt: skip
     """Run as processes until the source ends, a limit or a signal.
 
-    `when_it_runs` is called with the graph's name once every process is ready.
+    `when_it_runs` is called with the graph's name once every process is ready. The file `heartbeat`
+    is renewed every second.
     """
     if asked is None:
         with Interruption() as asked:
-            return processes(plan, frames, duration_s, console, asked, reaper, when_it_runs)
-    with Supervisor(plan, frames=frames, reaper=reaper) as supervisor:
+            return processes(
+                plan, frames, duration_s, console, asked, reaper, when_it_runs, heartbeat
+            )
+    with (
+        Heartbeat(heartbeat) as alive,
+        Supervisor(plan, frames=frames, reaper=reaper) as supervisor,
+    ):
         supervisor.asked_to_end = asked.asked
         with console.status(Text(f"{plan.name}: starting {len(plan.processes())} processes")):
-            supervisor.start()
+            supervisor.start(lambda: alive.beat(works=False))
         if when_it_runs is not None and supervisor.begun:
             when_it_runs(plan.name)
         shown_s = 0.0
         with Live(console=console, auto_refresh=False, transient=True) as live:
             while not supervisor.finished and not supervisor.end_requests:
                 supervisor.tick()
+                alive.beat(works=supervisor.manager.all_going)
                 elapsed_s = time.monotonic() - supervisor.started_s
                 if duration_s and elapsed_s >= duration_s:
                     break

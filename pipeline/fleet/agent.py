@@ -25,6 +25,7 @@ from pipeline.naming import check_name
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import ControlMessage, decode
 from pipeline.protocol.fleet import Named, Prepare, Prepared, Start
+from pipeline.run.heartbeat import Heartbeat
 from pipeline.run.logs import log_part
 from pipeline.run.reaper import Reaper
 
@@ -37,7 +38,9 @@ log = logging.getLogger(__name__)
 class Agent:
     """The agent of a host. Leaving its context stops the graphs, which resume at the next start."""
 
-    def __init__(self, own: HostConfig, reaper: Reaper | None = None) -> None:
+    def __init__(
+        self, own: HostConfig, reaper: Reaper | None = None, heartbeat: Heartbeat | None = None
+    ) -> None:
         """`reaper`: of this process, if it may adopt orphans of nodes."""
         self.host, self.label = own, own.label
         self._allowed = own.allowed
@@ -45,6 +48,7 @@ class Agent:
         self._taps = TapRelay()
         self._questions = Questions()
         self.hosted: dict[str, HostedGraph] = {}
+        self._heartbeat = heartbeat or Heartbeat(None)
         self._stop = threading.Event()
         own.state.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._store = GraphStore(own.state)
@@ -95,6 +99,13 @@ class Agent:
     def _answer_all(self, *, slow: bool) -> None:
         while not self._stop.is_set():
             self._guarded(partial(self._answer_next, slow))
+            if not slow:
+                self._beat()
+
+    def _beat(self) -> None:
+        graphs = list(self.hosted.values())
+        if not any(hosted.hangs for hosted in graphs):
+            self._heartbeat.beat(works=all(hosted.works for hosted in graphs))
 
     def _answer_next(self, slow: bool) -> None:
         if not self._questions.answer_next(self._answer, slow=slow):

@@ -42,6 +42,7 @@ IDLE_S = 0.1
 ANYWAY_S = 0.25
 END_S = 20.0  # stopping takes as long as the slowest operator's `close`
 AGAIN_S = (1.0, 30.0)  # first and longest pause before a restart of a graph that has worked once
+HANGS_S = 30.0
 STARTS_EPOCHS = 1000  # epochs per start of a host, to distinguish messages of former starts
 log = logging.getLogger(__name__)
 Inspected = tuple[Plan, Mapping[str, Ports]]  # what this host would run; ports by `module:Class`
@@ -81,6 +82,18 @@ class HostedGraph:
     def alive(self) -> bool:
         """Whether it runs, is starting or will be restarted."""
         return self._thread is not None and self._thread.is_alive()
+
+    @property
+    def works(self) -> bool:
+        """Whether every process of it runs."""
+        supervisor = self.supervisor
+        return self.phase == "running" and supervisor is not None and supervisor.manager.all_going
+
+    @property
+    def hangs(self) -> bool:
+        """Whether nobody has looked after its processes for `HANGS_S`."""
+        supervisor = self.supervisor
+        return supervisor is not None and supervisor.health.ticked_ago_s > HANGS_S
 
     def begin(self) -> None:
         """Start its thread."""

@@ -25,6 +25,11 @@ class HealthMonitor:
             self._lenient_until_s = now_s + FROZEN_S
         self._looked_s = now_s
 
+    @property
+    def ticked_ago_s(self) -> float:
+        """Return the time since the last tick, in seconds."""
+        return time.monotonic() - self._looked_s
+
     def problem(self, managed: ManagedProcess) -> str:
         """Return why its process must be killed, or an empty string."""
         now_s = time.monotonic()

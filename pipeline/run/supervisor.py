@@ -157,15 +157,17 @@ class Supervisor:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def start(self) -> None:
+    def start(self, meanwhile: Callable[[], None] = lambda: None) -> None:
         """Start every process, consumers first; frames flow once all are ready.
 
-        Returns early on a request to end; raises `RunError` when the run cannot begin.
+        `meanwhile` is called at every tick. Returns early on a request to end; raises `RunError`
+        when the run cannot begin.
         """
         self.manager.begin_all()
         deadline = time.monotonic() + max(node.start_s for node in self.plan.nodes)
         while not self.manager.all_going and not self.end_requests:
             self.tick()
+            meanwhile()
             if self.failure:
                 raise RunError(self.failure)
             for managed in self.processes.values():

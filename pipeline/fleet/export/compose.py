@@ -6,15 +6,19 @@ from typing import Any
 
 from pipeline.fleet.export.bundle import (
     AGENT,
+    ALIVE,
+    CHECK_S,
     ETC,
     GRAPH,
     IMAGE,
+    START_S,
     STATE,
     USER,
     Bundle,
     comments,
     credentials_words,
     memory_mb,
+    most_mb,
     run_words,
     to_yaml,
     up_words,
@@ -26,11 +30,12 @@ def compose(plan: Plan, bundle: Bundle) -> str:
     """Return a Compose file: a service per host with its shared memory, and one that deploys."""
     graph = f"{bundle.graph}:{GRAPH}:ro"
     if not plan.hosts:
-        return to_yaml({"services": {plan.name: _service(plan, "", run_words(), graph)}})
+        return to_yaml({"services": {plan.name: _service(plan, bundle, "", run_words(), graph)}})
     services = {
         label: {
             **_service(
                 plan,
+                bundle,
                 label,
                 AGENT,
                 f"{bundle.host_folder(label)}:{ETC}:ro",
@@ -50,10 +55,18 @@ def compose(plan: Plan, bundle: Bundle) -> str:
     return first + to_yaml({"services": services, "volumes": states})
 
 
-def _service(plan: Plan, label: str, command: Sequence[str], *volumes: str) -> dict[str, Any]:
+def _service(
+    plan: Plan, bundle: Bundle, label: str, command: Sequence[str], *volumes: str
+) -> dict[str, Any]:
     return {
         **_common(), "command": list(command), "restart": "always",
-        "shm_size": f"{memory_mb(plan, label)}mb", "volumes": list(volumes),
+        "shm_size": f"{memory_mb(plan, bundle, label)}mb",
+        "mem_limit": f"{most_mb(plan, bundle, label)}mb",
+        "healthcheck": {
+            "test": ["CMD", *ALIVE], "interval": f"{CHECK_S:.0f}s", "timeout": "5s", "retries": 3,
+            "start_period": f"{START_S:.0f}s",
+        },
+        "volumes": list(volumes),
     }  # fmt: skip
 
 

@@ -5,22 +5,29 @@ as an agent expects.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import GraphError
 from pipeline.fleet.export.bundle import (
     AGENT,
+    ALIVE,
+    CHECK_S,
     ETC,
     GRAPH,
     IMAGE,
+    OWN_MB,
+    READY,
+    REQUESTED_MB,
+    START_S,
     STATE,
     USER,
     Bundle,
     comments,
     credentials_words,
     memory_mb,
+    most_mb,
     run_words,
     to_yaml,
     up_words,
@@ -46,12 +53,12 @@ def manifests(plan: Plan, bundle: Bundle) -> tuple[str, list[dict[str, Any]]]:
         "graph", {"configMap": {"name": graph["metadata"]["name"]}}, str(Path(GRAPH).parent)
     )
     if not plan.hosts:
-        pod = _pod(run_words(), [_memory(plan, ""), mounted])
+        pod = _pod(run_words(), [_memory(plan, bundle, ""), mounted], _watched(plan, bundle, ""))
         return "", [graph, _deployment(_slug(plan.name), pod)]
     documents = [graph]
     for label in plan.hosts:
-        mounts = [_memory(plan, label), _credentials(plan, label), _state()]
-        pod = {"hostname": _checked(label), **_pod(AGENT, mounts)}
+        mounts = [_memory(plan, bundle, label), _credentials(plan, label), _state()]
+        pod = {"hostname": _checked(label), **_pod(AGENT, mounts, _watched(plan, bundle, label))}
         pod["nodeSelector"] = {"fovea/host": label}
         documents += [_deployment(label, pod), _service(label)]
     secret = {"secret": {"secretName": _own_secret(plan), "defaultMode": 0o400}}
@@ -93,8 +100,8 @@ def _credentials(plan: Plan, label: str) -> Mount:
     return _volume("credentials", projected, ETC)
 
 
-def _memory(plan: Plan, label: str) -> Mount:
-    limit = f"{memory_mb(plan, label)}Mi"
+def _memory(plan: Plan, bundle: Bundle, label: str) -> Mount:
+    limit = f"{memory_mb(plan, bundle, label)}Mi"
     memory = {"emptyDir": {"medium": "Memory", "sizeLimit": limit}}
     return _volume("shm", memory, "/dev/shm")
 
@@ -107,11 +114,38 @@ def _volume(name: str, kind: dict[str, Any], folder: str) -> Mount:
     return {"name": name, **kind}, {"name": name, "mountPath": folder}
 
 
-def _pod(command: Sequence[str], mounts: Sequence[Mount]) -> dict[str, Any]:
+def _watched(plan: Plan, bundle: Bundle, label: str) -> dict[str, Any]:
+    """Return probes and resources of a host.
+
+    Its processor time is not limited: a container that has used up its share stands still for the
+    rest of 100 ms, which is three frames.
+    """
+    count = sum(node.host == label for node in plan.nodes)
+    return {
+        "startupProbe": _probe(ALIVE, 1.0, START_S),
+        "livenessProbe": _probe(ALIVE, CHECK_S, 3 * CHECK_S),
+        "readinessProbe": _probe(READY, CHECK_S / 2, CHECK_S / 2),
+        "resources": {
+            "requests": {"cpu": f"{100 * count}m", "memory": f"{OWN_MB + REQUESTED_MB * count}Mi"},
+            "limits": {"memory": f"{most_mb(plan, bundle, label)}Mi"},
+        },
+    }
+
+
+def _probe(command: Sequence[str], every_s: float, within_s: float) -> dict[str, Any]:
+    return {
+        "exec": {"command": list(command)}, "periodSeconds": round(every_s), "timeoutSeconds": 5,
+        "failureThreshold": round(within_s / every_s),
+    }  # fmt: skip
+
+
+def _pod(
+    command: Sequence[str], mounts: Sequence[Mount], watched: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     return {
         "containers": [
             {
-                "name": "fovea", "image": IMAGE, "command": list(command),
+                "name": "fovea", "image": IMAGE, "command": list(command), **(watched or {}),
                 "volumeMounts": [mount for _, mount in mounts],
                 "securityContext": {
                     # keys must be readable by their owner only, and root owns secrets

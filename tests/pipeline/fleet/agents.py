@@ -12,6 +12,7 @@ from pipeline.fleet.placement import ANY
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
 from pipeline.protocol import fleet as wire
+from pipeline.run.heartbeat import Heartbeat
 
 SAMPLES = ("Ticker", "Pass", "PassEvery", "Pair", "Steer", "Count")
 ALLOWED = {f"tests.samples:{name}": ANY for name in SAMPLES}
@@ -75,8 +76,8 @@ def host_of(label: str, others: Sequence[str], folder: Path, **more: object) -> 
 class Running:
     """An agent that runs in a thread."""
 
-    def __init__(self, own: HostConfig) -> None:
-        self.agent = Agent(own)
+    def __init__(self, own: HostConfig, heartbeat: Heartbeat | None = None) -> None:
+        self.agent = Agent(own, heartbeat=heartbeat)
         self._thread = threading.Thread(target=self.agent.run)
         self._thread.start()
 

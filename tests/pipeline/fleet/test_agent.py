@@ -3,6 +3,7 @@
 import hashlib
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -15,6 +16,7 @@ from pipeline.bus.network import Network
 from pipeline.bus.session import Session
 from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
+from pipeline.fleet import hosted_graph
 from pipeline.fleet.deploy import (
     Fleet,
     attach,
@@ -29,8 +31,10 @@ from pipeline.fleet.questions import Questions
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import decode_answer, encode
 from pipeline.protocol.orders import SwapOrder
+from pipeline.run.heartbeat import EVERY_S, Heartbeat
 from pipeline.run.rundir import base
 from tests.pipeline.fleet.agents import (
+    DUO,
     TRIO,
     Running,
     agents,
@@ -303,3 +307,28 @@ def test_the_next_file_may_be_sent_as_soon_as_the_reply_to_the_last_one_is_there
         assert questions.answer_next(lambda question: wire.Nothing(), slow=True)
 
     assert said == [encode(wire.Nothing())] * 2
+
+
+def test_the_heartbeat_of_an_agent_tells_whether_its_graphs_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "heartbeat"
+    plan = plan_of(tmp_path, DUO.replace("[eye, brain]", "[eye]").replace("brain", "eye"))
+    with Heartbeat(file) as heartbeat:
+        own = Running(host_of("eye", (), tmp_path), heartbeat)
+        try:
+            until(lambda: file.exists())
+            assert file.read_text() == "running\n"  # there is nothing that does not
+            with fleet_of("eye") as fleet:
+                up(fleet, plan)
+                until(lambda: file.read_text() == "running\n")
+
+                monkeypatch.setattr(hosted_graph, "HANGS_S", -1.0)  # as if nobody ticked
+                time.sleep(0.5)  # what was begun is written
+                last = file.stat().st_mtime_ns
+                time.sleep(1.5 * EVERY_S)
+                assert file.stat().st_mtime_ns == last
+                monkeypatch.undo()
+                until(lambda: file.stat().st_mtime_ns > last)
+        finally:
+            own.stop()

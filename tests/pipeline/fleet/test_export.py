@@ -17,7 +17,7 @@ from pipeline.errors import GraphError, RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.agent_file import read
 from pipeline.fleet.deploy import default_user, read_hosts
-from pipeline.fleet.export.bundle import AGENT, Bundle, memory_mb
+from pipeline.fleet.export.bundle import AGENT, HEARTBEAT, Bundle, memory_mb
 from pipeline.fleet.export.compose import compose
 from pipeline.fleet.export.kubernetes import k8s
 from pipeline.fleet.export.systemd import systemd
@@ -89,7 +89,7 @@ def test_compose_mounts_credentials_and_graph_where_they_are_read(
         if name == "deploy":
             expect_deploy(service["command"], root)
         else:
-            assert service["shm_size"] == f"{memory_mb(plan, name)}mb"
+            assert service["shm_size"] == f"{memory_mb(plan, bundle, name)}mb"
             assert (service["hostname"], service["command"]) == (name, list(AGENT))
             expect_agent(plan, name, root / "etc/fovea")
 
@@ -221,7 +221,9 @@ def test_a_graph_without_hosts_is_one_service(tmp_path: Path) -> None:
     bundle = Bundle(tmp_path / "graph.yaml", tmp_path, "alice")
 
     (service,) = YAML(typ="safe").load(compose(plan, bundle))["services"].values()
-    assert service["command"] == ["fovea", "run", "/etc/fovea/graph/graph.yaml"]
+    assert service["command"] == [
+        "fovea", "run", "/etc/fovea/graph/graph.yaml", "--heartbeat", HEARTBEAT,
+    ]  # fmt: skip
     assert service["volumes"] == [f"{bundle.graph}:/etc/fovea/graph/graph.yaml:ro"]
     (unit,) = units(systemd(plan, bundle))
     assert shlex.split(unit["Service"]["ExecStart"])[1:] == ["run", str(bundle.graph)]
