@@ -27,7 +27,11 @@ from pipeline.fleet.deploy import (
     default_user,
     known_addresses,
     read_hosts,
+    remembered,
     up,
+)
+from pipeline.fleet.deploy import (
+    forget as forget_deployed,
 )
 from pipeline.fleet.export.bundle import Bundle
 from pipeline.fleet.export.export import KINDS, engines
@@ -179,10 +183,21 @@ def attach_command(
 
 @click.command("down")
 @GRAPH_NAME
+@click.option("--forget", is_flag=True, help="Stop nothing: only forget where it was deployed.")
 @JSON
-def down_command(graph: str, as_json: bool) -> None:
+def down_command(graph: str, forget: bool, as_json: bool) -> None:
     """Stop a graph on all its hosts, as `fovea stop` does."""
-    end(graph, as_json=as_json)
+    if not forget:
+        end(graph, as_json=as_json)
+        return
+    known = remembered()
+    if graph not in known:
+        raise RunError(f"{graph}: was not deployed from here{suggest(graph, known)}")
+    forget_deployed(graph)
+    if as_json:
+        print_json({"graph": graph, "hosts": sorted(known[graph].points)})
+    else:
+        click.echo(f"{graph}: forgotten; `fovea attach` finds it again where it runs")
 
 
 @click.command("export")

@@ -51,6 +51,9 @@ def ps(as_json: bool) -> None:
         terminal.console().print(tables.process_table(found))
     else:
         click.echo("no graph runs")
+    for status in found:
+        for why in tables.unreached(status):
+            click.echo(why)
     for one in ended.values():
         click.echo(ended_line(one))
 

@@ -53,6 +53,14 @@ def process_table(found: Iterable[Status]) -> Table:
     return table
 
 
+def unreached(status: Status) -> Iterator[str]:
+    """Yield why hosts of a graph are lost; if all are, also the command that forgets it."""
+    whys = [said for said in status.hosts.values() if isinstance(said, str)]
+    yield from (f"{status.graph}: {why}" for why in dict.fromkeys(whys))
+    if whys and len(whys) == len(status.hosts):
+        yield f"{status.graph}: `fovea down {status.graph} --forget` takes it off this list"
+
+
 def top_tables(before: Status, now: Status, seconds: float) -> Group:
     """Return the loop's budget, and tables of edges, nodes, processes and, if several, hosts.
 
@@ -175,7 +183,7 @@ def _process_rows(label: str, said: Said, nodes: Sequence[str]) -> Iterator[tupl
     """
     figures = [""] * 5
     if not said or isinstance(said, str):
-        yield (label, "", _red(condition(said), f" {said or ''}"), "", *figures)
+        yield (label, "", _red(condition(said)), "", *figures)
     for state in () if isinstance(said, str) else said:
         if label:
             yield (label, "", _told(state), "", *figures)

@@ -1,12 +1,13 @@
 """Find the client of a graph by name, whether it runs here or is deployed."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 from pipeline.client.deployed import DeployedGraph
-from pipeline.client.graph_client import GraphClient, Status
+from pipeline.client.graph_client import GraphClient, Said, Status
 from pipeline.client.local import LocalGraph
-from pipeline.errors import RunError
-from pipeline.fleet.deploy import remembered
+from pipeline.errors import FoveaError, RunError
+from pipeline.fleet.deploy import AT_ONCE, remembered
 from pipeline.run.logs import log_lines
 from pipeline.run.rundir import running
 from pipeline.settings import suggest
@@ -47,15 +48,25 @@ def graphs() -> dict[str, GraphClient]:
 
 
 def statuses() -> list[Status]:
-    """Return the status of every graph for `ps`, without those that end meanwhile."""
-    found = []
-    for client in graphs().values():
-        try:
-            found.append(client.status())
-        except RunError:
-            if client.runs():
-                raise
-    return found
+    """Return the status of every graph for `ps`, without those that end meanwhile.
+
+    They are asked at once: one whose hosts are silent does not delay the others.
+    """
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        return list(filter(None, pool.map(_status, graphs().values())))
+
+
+def _status(client: GraphClient) -> Status | None:
+    try:
+        return client.status()
+    except FoveaError as error:
+        if not client.runs():
+            return None
+        if not isinstance(client, DeployedGraph):
+            raise
+        # nothing can be asked, e.g. without the credentials that it was deployed with
+        hosts: dict[str, Said] = dict.fromkeys(client.hosts.points, str(error))
+        return Status(graph=client.name, hosts=hosts, nodes=dict(client.hosts.nodes))
 
 
 def logs(graph: str, node: str, lines: int, *, follow: bool = False) -> Iterator[str]:

@@ -345,7 +345,9 @@ def _await(fleet: Fleet, graph: str, labels: Iterable[str]) -> None:
 
 
 def _down(fleet: Fleet, label: str, graph: str) -> str:
+    """Stop a graph on a host; return why it may still run there, or an empty string."""
     try:
+        fleet.ask(label, "about", wire.Nothing(), wire.About)  # who is silent is known sooner
         fleet.ask(label, "down", wire.Named(graph), wire.Accepted, DOWN_S)
     except FoveaError as error:
         return str(error) if isinstance(error, Silent) or _is_on(fleet, label, graph) else ""
