@@ -22,6 +22,14 @@ class Interrupted(BaseException):
     """Aborts work that takes too long; an operator's `except Exception` does not catch it."""
 
 
+class Stopped(KeyboardInterrupt):
+    """Ctrl-C. A class of its own, so that the exit status is ours.
+
+    Where a bare `KeyboardInterrupt` passes through `exec` of a text, as in a dataclass, `python -m`
+    ends by the signal later, although the exception was caught.
+    """
+
+
 def quit_at_once() -> None:
     """Make signals end this process silently, while there is nothing to clean up."""
     _install(lambda number, _frame: os._exit(128 + number))
@@ -29,7 +37,7 @@ def quit_at_once() -> None:
 
 @contextmanager
 def raising() -> Iterator[None]:
-    """Make the first signal raise `KeyboardInterrupt` or `SystemExit`, and ignore later ones.
+    """Make the first signal raise `Stopped` or `SystemExit`, and ignore later ones.
 
     After `LAST_RESORT_S` the kernel ends the process.
     """
@@ -43,7 +51,7 @@ def raising() -> Iterator[None]:
         first = number
         end_by_kernel(LAST_RESORT_S)
         if number == signal.SIGINT:
-            raise KeyboardInterrupt
+            raise Stopped
         sys.exit(128 + number)
 
     before = _install(note)

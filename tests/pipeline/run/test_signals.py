@@ -105,6 +105,31 @@ def test_a_signal_while_a_class_is_made_is_no_error(number: signal.Signals) -> N
     assert (ended.returncode, ended.stderr) == (128 + number, b"")
 
 
+IN_A_TEXT = """
+import os, signal, sys
+from pipeline import signals
+
+try:
+    with signals.raising():
+        exec("os.kill(os.getpid(), signal.SIGINT)")
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+def test_ctrl_c_while_a_text_is_executed_keeps_the_exit_status(tmp_path: Path) -> None:
+    (tmp_path / "executing.py").write_text(IN_A_TEXT)
+    paths = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+
+    with no_signal_ignored():
+        ended = subprocess.run(
+            [sys.executable, "-m", "executing"], env={**os.environ, "PYTHONPATH": paths},
+            capture_output=True, check=False,
+        )  # fmt: skip
+
+    assert (ended.returncode, ended.stderr) == (130, b"")
+
+
 def works(name: str) -> bool:
     """Return whether every node of a graph answers."""
     try:
