@@ -6,6 +6,7 @@ engines test both without starting an interpreter.
 
 import contextlib
 import logging
+import os
 import time
 from pathlib import Path
 
@@ -41,11 +42,19 @@ class Heartbeat:
         now_s, text = time.monotonic(), WORKS if works else STARTS
         if self._path is None or (text == self._said and now_s - self._at_s < EVERY_S):
             return
-        self._at_s, self._said = now_s, text
+        self._at_s = now_s
         try:
-            write_whole(self._path, f"{text}\n")
+            self._renew(self._path, text)
             self._complained = False
-        except OSError as error:  # e.g. a full disk: the graph goes on, the watchdog decides
+        except OSError as error:  # e.g. a folder that is gone: the graph goes on
             if not self._complained:
                 log.error("%s: cannot be written: %s", self._path, error.strerror)
             self._complained = True
+
+    def _renew(self, path: Path, text: str) -> None:
+        if text == self._said:
+            with contextlib.suppress(OSError):
+                os.utime(path, follow_symlinks=False)  # works on a full disk, and wears none
+                return
+        write_whole(path, f"{text}\n")
+        self._said = text

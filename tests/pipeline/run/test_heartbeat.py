@@ -1,5 +1,6 @@
 """A watchdog outside sees from one file whether a run is alive and whether all of it runs."""
 
+import errno
 import logging
 import os
 import signal
@@ -36,14 +37,45 @@ def test_it_is_renewed_once_a_second_and_at_once_when_its_text_changes(
         heartbeat.beat(works=True)
         assert file.read_text() == "running\n"
 
+        os.utime(file, (0, 0))
+        now_s += EVERY_S / 2
+        heartbeat.beat(works=True)
+        assert file.stat().st_mtime == 0
+        now_s += EVERY_S / 2
+        heartbeat.beat(works=True)
+        assert file.stat().st_mtime > 0
+
         first = file.stat().st_ino
-        now_s += EVERY_S / 2
-        heartbeat.beat(works=True)
-        assert file.stat().st_ino == first
-        now_s += EVERY_S / 2
-        heartbeat.beat(works=True)
+        heartbeat.beat(works=False)
         assert file.stat().st_ino != first  # replaced in one step: nobody reads half a word
     assert not list(tmp_path.iterdir())
+
+
+def test_on_a_full_disk_it_is_renewed_and_a_removed_file_is_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    now_s, file = 100.0, tmp_path / "heartbeat"
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    with Heartbeat(file) as heartbeat:
+        heartbeat.beat(works=True)
+        os.utime(file, (0, 0))
+        with monkeypatch.context() as patch:
+            patch.setattr("pipeline.run.heartbeat.write_whole", full)
+            now_s += EVERY_S
+            heartbeat.beat(works=True)
+            assert file.stat().st_mtime > 0
+            heartbeat.beat(works=False)  # another text needs space
+        assert [said.endswith("No space left on device") for said in caplog.messages] == [True]
+        heartbeat.beat(works=False)
+        assert file.read_text() == "starting\n"
+
+        file.unlink()
+        now_s += EVERY_S
+        heartbeat.beat(works=False)
+        assert file.read_text() == "starting\n"
 
 
 def test_a_folder_that_is_gone_is_told_once_and_ends_nothing(
