@@ -5,7 +5,6 @@ Read are ICDAR-2013 and -2015 (`gt_img_1.txt`), labelme (`img_1.json`), Total-Te
 """
 
 import csv
-import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.datasets.texts.files import Place, read_json, read_text
 from pipeline.errors import DriverError
 
 ILLEGIBLE = "###"
-MOST_BYTES = 1 << 30  # of a file
 MOST_TEXTS = 10_000  # of a picture
 MOST_LETTERS = 500  # of a text
 TOTAL_TEXT = re.compile(
@@ -32,28 +31,6 @@ class Label:
 
     outline: NDArray[np.float32]  # (n, 2) pixels, n >= 3
     text: str  # `ILLEGIBLE` where the data set says that it is not to be read
-
-
-def read_text(path: Path) -> str:
-    """Return a file's text, in UTF-8 with or without mark; raises `DriverError`."""
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise DriverError(f"{path}: expected at most {MOST_BYTES} bytes")
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise DriverError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeError as error:
-        raise DriverError(f"{path}: expected UTF-8: {error}") from error
-
-
-def read_json(path: Path) -> Any:
-    """Return what a JSON file holds; raises `DriverError` with the line."""
-    try:
-        return json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise DriverError(f"{path}:{error.lineno}: expected JSON: {error.msg}") from error
-    except RecursionError as error:
-        raise DriverError(f"{path}: expected JSON, got too many levels") from error
 
 
 def read_icdar(path: Path) -> list[Label]:
@@ -85,17 +62,17 @@ def read_icdar(path: Path) -> list[Label]:
 
 
 def read_labelme(path: Path) -> list[Label]:
-    """Read `shapes[].points` and `.label`; raises `DriverError` naming the shape."""
-    shapes = _part(read_json(path), "shapes", list, str(path))
+    """Read `shapes[].points` and `.label`; raises `DriverError` with the line of the shape."""
+    shapes = _part(read_json(path), "shapes", list, Place(path))
     found = []
     for number, shape in enumerate(shapes):
-        where = f"{path}: shapes[{number}]"
+        where = Place(path) / "shapes" / number
         points = _part(shape, "points", list, where)
         text = _part(shape, "label", str, where)
         try:
             flat = [value for x, y in points for value in (x, y)]
         except (TypeError, ValueError) as error:
-            raise DriverError(f"{where}.points: expected pairs x, y") from error
+            raise DriverError(f"{where / 'points'}: expected pairs x, y") from error
         found.append(_label(_numbers(flat, where), text, where))
     return _few(found, path)
 
@@ -131,18 +108,18 @@ def read_total_text(path: Path) -> list[Label]:
 def read_textocr(path: Path) -> dict[str, list[Label]]:
     """Read TextOCR: the labels by file name; boxes come from `points`, a text `.` is illegible.
 
-    Raises `DriverError` naming the annotation.
+    Raises `DriverError` with the line of the annotation.
     """
-    document = read_json(path)
-    pictures = _part(document, "imgs", dict, str(path))
-    texts = _part(document, "anns", dict, str(path))
+    document, whole = read_json(path), Place(path)
+    pictures = _part(document, "imgs", dict, whole)
+    texts = _part(document, "anns", dict, whole)
     names: dict[str, str] = {}
     found: dict[str, list[Label]] = {}
     for id_, picture in pictures.items():
-        name = Path(_part(picture, "file_name", str, f"{path}: imgs.{id_}")).name
+        name = Path(_part(picture, "file_name", str, whole / "imgs" / id_)).name
         names[id_], found[name] = name, []
     for key, row in texts.items():
-        where = f"{path}: anns.{key}"
+        where = whole / "anns" / key
         picture = str(_part(row, "image_id", str, where))
         if picture not in names:
             raise DriverError(f"{where}: expected an image_id of imgs, got {picture!r}")
@@ -166,14 +143,14 @@ def labels_beside(picture: Path) -> list[Label] | None:
     return None
 
 
-def _part(document: Any, name: str, kind: type, where: str) -> Any:
+def _part(document: Any, name: str, kind: type, where: Place) -> Any:
     found = document.get(name) if isinstance(document, dict) else None
     if not isinstance(found, kind):
         raise DriverError(f"{where}: expected {name}, {kind.__name__}, got {str(found)[:60]}")
     return found
 
 
-def _numbers(cells: list[Any], where: str) -> list[float]:
+def _numbers(cells: list[Any], where: Place | str) -> list[float]:
     try:
         found = [float(cell) for cell in cells]
     except (TypeError, ValueError) as error:
@@ -183,7 +160,7 @@ def _numbers(cells: list[Any], where: str) -> list[float]:
     return found
 
 
-def _label(flat: list[float], text: str, where: str) -> Label:
+def _label(flat: list[float], text: str, where: Place | str) -> Label:
     if len(flat) < 6 or len(flat) % 2:
         raise DriverError(f"{where}: expected at least three points, got {len(flat)} numbers")
     if len(text) > MOST_LETTERS:

@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.datasets.texts.labels import ILLEGIBLE, MOST_LETTERS, MOST_TEXTS, read_json
+from drivers.datasets.texts.files import Place, read_json
+from drivers.datasets.texts.labels import ILLEGIBLE, MOST_LETTERS, MOST_TEXTS
 from drivers.datasets.video import VideoFile
 from drivers.source import Annotations, FrameSource
 from pipeline.errors import DriverError
@@ -64,12 +65,12 @@ class RoadTextVideo:
 
 
 def read_roadtext(path: Path, video: str, transcriptions: str = "") -> Rows:
-    """Read the truth of one video; raises `DriverError` naming file and place."""
+    """Read the truth of one video; raises `DriverError` with file, line and place."""
     document = read_json(path)
     if isinstance(document, dict):
         if video not in document:
             raise DriverError(f"{path}: expected a video {video}, got {_some(document)}")
-        return _challenge(document[video], f"{path}: {video}")
+        return _challenge(document[video], Place(path) / video)
     if isinstance(document, list):
         said = read_json(Path(transcriptions)) if transcriptions else {}
         if not isinstance(said, dict):
@@ -78,12 +79,12 @@ def read_roadtext(path: Path, video: str, transcriptions: str = "") -> Rows:
     raise DriverError(f"{path}: expected a list or videos by name, got {type(document).__name__}")
 
 
-def _challenge(frames: Any, where: str) -> Rows:
+def _challenge(frames: Any, where: Place) -> Rows:
     if not isinstance(frames, dict):
         raise DriverError(f"{where}: expected frames by number, got {type(frames).__name__}")
     found: Rows = {}
     for key, frame in frames.items():
-        place = f"{where}.{key}"
+        place = where / key
         if not str(key).isdigit() or int(key) < 1:
             raise DriverError(f"{place}: expected a frame from 1")
         found[int(key) - 1] = _rows(frame, place, {})
@@ -93,7 +94,7 @@ def _challenge(frames: Any, where: str) -> Rows:
 def _original(document: list[Any], said: Mapping[str, Any], video: str, path: Path) -> Rows:
     found: Rows = {}
     for number, frame in enumerate(document):
-        place = f"{path}: [{number}]"
+        place = Place(path) / number
         if not isinstance(frame, dict) or not isinstance(frame.get("videoName"), str):
             raise DriverError(f"{place}: expected videoName, index and labels")
         if Path(frame["videoName"]).stem != video:
@@ -107,16 +108,16 @@ def _original(document: list[Any], said: Mapping[str, Any], video: str, path: Pa
     return found
 
 
-def _rows(frame: Any, place: str, said: Mapping[str, Any]) -> list[tuple[list[float], int, str]]:
+def _rows(frame: Any, place: Place, said: Mapping[str, Any]) -> list[tuple[list[float], int, str]]:
     labels = frame.get("labels") if isinstance(frame, dict) else frame
     if labels is None and isinstance(frame, dict):
         return []
     if not isinstance(labels, list) or len(labels) > MOST_TEXTS:
         raise DriverError(f"{place}: expected labels, a list or null, got {str(labels)[:60]}")
-    return [_row(label, f"{place}.labels[{k}]", said) for k, label in enumerate(labels)]
+    return [_row(label, place / "labels" / k, said) for k, label in enumerate(labels)]
 
 
-def _row(label: Any, place: str, said: Mapping[str, Any]) -> tuple[list[float], int, str]:
+def _row(label: Any, place: Place, said: Mapping[str, Any]) -> tuple[list[float], int, str]:
     box = label.get("box2d") if isinstance(label, dict) else None
     try:
         sides = [float(box[name]) for name in ("x1", "y1", "x2", "y2")]  # type: ignore[index]

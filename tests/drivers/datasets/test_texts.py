@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.datasets import PannedPictures, RoadTextVideo
+from drivers.datasets.texts.files import Place, line_of
 from drivers.datasets.texts.labels import (
     ILLEGIBLE,
     Label,
@@ -95,15 +96,19 @@ def test_textocr_takes_boxes_from_points(tmp_path: Path) -> None:
         ("gt.txt", "1,2,3,4,5,6,7,x,A\n", r"gt\.txt:1: expected numbers"),
         ("gt.txt", "1,2,3,4,5,6,7,inf,A\n", r"gt\.txt:1: expected pixels"),
         ("a.json", '{"shapes": [\n{]', r"a\.json:2: expected JSON"),
-        ("a.json", '{"shapes": [{"label": 3}]}', r"shapes\[0\]: expected points"),
+        ("a.json", '{"shapes": [{"label": 3}]}', r"a\.json:1: shapes\[0\]: expected points"),
+        ("a.json", '{"shapes": [\n{"label": "A", "points": [[1, 2], 3]}]}',
+         r"a\.json:2: shapes\[0\]\.points: expected pairs"),
         ("a.json", '{"shapes": [{"label": "A", "points": [[1, 2]]}]}', "at least three points"),
         ("poly_gt.txt", "x: [[1 2]]\n", r"poly_gt\.txt:1: expected transcriptions"),
         ("poly_gt.txt", "x: [[1 2 3]], y: [[1 2]], ornt: [u'm'], transcriptions: [u'A']",
          "as many x as y, got 3 and 2"),
-        ("t.json", '{"imgs": {}, "anns": {"1": {"image_id": "b"}}}', "an image_id of imgs"),
+        ("t.json", '{"imgs": {},\n"anns": {"1":\n{"image_id": "b"}}}',
+         r"t\.json:3: anns\.1: expected an image_id of imgs"),
+        ("t.json", '{"anns": {}}', r"t\.json: expected imgs, dict, got None"),
     ],
 )  # fmt: skip
-def test_malformed_files_are_refused_with_file_and_place(
+def test_malformed_files_are_refused_with_file_and_line(
     tmp_path: Path, name: str, text: str, sentence: str
 ) -> None:
     readers = {"g": read_icdar, "a": read_labelme, "p": read_total_text, "t": read_textocr}
@@ -215,21 +220,51 @@ def test_the_original_release_takes_texts_from_a_second_file(tmp_path: Path) -> 
     [
         ({"8": {}}, "expected a video 7, got 8"),
         ({"7": []}, "expected frames by number"),
-        ({"7": {"0": {"labels": None}}}, r"7\.0: expected a frame from 1"),
-        ({"7": {"1": {"labels": [{}]}}}, r"7\.1\.labels\[0\]: expected box2d"),
+        ({"7": {"0": {"labels": None}}}, r"t\.json:3: 7\.0: expected a frame from 1"),
+        ({"7": {"1": {"labels": [{}]}}}, r"t\.json:5: 7\.1\.labels\[0\]: expected box2d"),
         ({"7": {"1": {"labels": [LABEL | {"category": "Klingon"}]}}}, "expected category"),
         ({"7": {"1": {"labels": [LABEL | {"id": "x"}]}}}, "expected a number as id"),
         ({"7": {"1": {"labels": [LABEL | {"box2d": BOX | {"x2": 0}}]}}}, "x2 after x1"),
-        ([{"videoName": "7", "index": -1}], "expected an index from 0"),
+        ([{"videoName": "7", "index": -1}], r"t\.json:2: \[0\]: expected an index from 0"),
         ([], "expected a video 7, got none"),
         (3, "expected a list or videos by name"),
     ],
 )
-def test_malformed_truth_is_refused_with_its_place(
+def test_malformed_truth_is_refused_with_its_line(
     tmp_path: Path, document: Any, sentence: str
 ) -> None:
     with pytest.raises(DriverError, match=sentence):
-        read_roadtext(written(tmp_path / "t.json", json.dumps(document)), "7")
+        read_roadtext(written(tmp_path / "t.json", json.dumps(document, indent=1)), "7")
+
+
+documents = st.recursive(
+    st.none() | st.integers() | st.text(max_size=4),
+    lambda inside: (
+        st.lists(inside, max_size=4) | st.dictionaries(st.text(max_size=3), inside, max_size=4)
+    ),
+    max_leaves=12,
+)
+
+
+@given(documents, st.data())
+def test_a_part_of_a_document_is_found_on_its_line(document: Any, data: st.DataObject) -> None:
+    keys: list[str | int] = []
+    part = document
+    while part and isinstance(part, list | dict) and data.draw(st.booleans()):
+        every: list[Any] = list(part) if isinstance(part, dict) else list(range(len(part)))
+        keys.append(data.draw(st.sampled_from(every)))
+        part = part[keys[-1]]
+    text = json.dumps(document, indent=1)
+
+    line = text.split("\n")[line_of(text, keys) - 1]
+
+    assert line.rstrip(",").endswith(json.dumps(part, indent=1).split("\n")[0])
+
+
+def test_a_file_that_is_gone_meanwhile_is_still_named(tmp_path: Path) -> None:
+    place = Place(tmp_path / "t.json") / "7" / 2
+
+    assert str(place).endswith("t.json: 7[2]")
 
 
 def test_a_drawn_street_written_as_roadtext_is_read_back_as_it_was(tmp_path: Path) -> None:
