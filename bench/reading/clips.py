@@ -1,7 +1,8 @@
 """Clips to read: the name of a scene, or a folder -> clips, each with what the sensor shows.
 
 A folder holds videos (RoadText-1K), each with a JSON file of the same name or beside one file for
-all, or labelled photographs (ICDAR, Total-Text, labelme), over each of which a camera pans.
+all, or labelled photographs (ICDAR, Total-Text, labelme, or TextOCR with its one file), over each
+of which a camera pans.
 """
 
 import json
@@ -9,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.datasets.images import SUFFIXES
-from drivers.datasets.texts.labels import labels_beside
-from pipeline.errors import DriverError
+from drivers.datasets.texts.labels import labels_beside, read_textocr
+from pipeline.errors import DriverError, SettingsError
 
 ROAD = "road"
 MOST_FILES = 100_000
@@ -25,8 +26,19 @@ class Clip:
     alike: tuple[str, ...]  # those of one clip for all of the data, which name the kept results
 
 
-def clips_of(data: str, *, count: int, frames: int, seed: int) -> list[Clip]:
-    """Return the clips, in order of seed or name; raises `DriverError` for a folder without any."""
+def clips_of(
+    data: str, *, count: int, frames: int, seed: int, labels: str = "", transcriptions: str = ""
+) -> list[Clip]:
+    """Return the clips, in order of seed or name.
+
+    `labels` is one file for all of a folder, `transcriptions` the second file of RoadText-1K's
+    original release. Raises `SettingsError` for such a file of another kind of clip, `DriverError`
+    for a folder without any clip.
+    """
+    for name, path in (("labels", labels), ("transcriptions", transcriptions)):
+        if path and (data == ROAD or not Path(path).is_file()):
+            where = "a file beside --data FOLDER" if data == ROAD else "a JSON file"
+            raise SettingsError(f"{name}: expected {where}, got {path}")
     if data == ROAD:
         return [
             Clip(name=str(each), changes=_street(each), alike=_street(0))
@@ -36,7 +48,8 @@ def clips_of(data: str, *, count: int, frames: int, seed: int) -> list[Clip]:
     if not folder.is_dir():
         raise DriverError(f"data: expected {ROAD} or a folder, got {data}")
     files = sorted(folder.iterdir())[:MOST_FILES]
-    found = {**_videos(files), **_photographs(files, frames)}
+    found = _videos(files, labels, transcriptions)
+    found |= _photographs(files, frames, "" if found else labels)
     if not found:
         raise DriverError(
             f"{folder}: expected videos with NAME.json or one JSON file, or photographs with "
@@ -50,23 +63,30 @@ def _street(seed: int) -> tuple[str, ...]:
     return (f"capture.seed={seed}",)
 
 
-def _videos(files: list[Path]) -> dict[str, tuple[str, ...]]:
+def _videos(files: list[Path], labels: str, transcriptions: str) -> dict[str, tuple[str, ...]]:
     tables = [file for file in files if file.suffix == ".json"]
     found = {}
     for file in files:
         own = file.with_suffix(".json")
-        labels = own if own in tables else tables[0] if len(tables) == 1 else None
-        if file.suffix == ".mp4" and labels:
-            found[file.name] = _recorded(file, "RoadTextVideo", json.dumps({"labels": str(labels)}))
+        beside = own if own in tables else tables[0] if len(tables) == 1 else ""
+        if file.suffix == ".mp4" and (given := labels or str(beside)):
+            options = {"labels": given}
+            if transcriptions:
+                options["transcriptions"] = transcriptions
+            found[file.name] = _recorded(file, "RoadTextVideo", json.dumps(options))
     return found
 
 
-def _photographs(files: list[Path], frames: int) -> dict[str, tuple[str, ...]]:
-    return {
-        file.name: _recorded(file, "PannedPictures", f"{{frames_each: {frames}, seed: {number}}}")
-        for number, file in enumerate(files)
-        if file.suffix.lower() in SUFFIXES and labels_beside(file)
-    }
+def _photographs(files: list[Path], frames: int, labels: str) -> dict[str, tuple[str, ...]]:
+    shown = [(n, file) for n, file in enumerate(files) if file.suffix.lower() in SUFFIXES]
+    known = read_textocr(Path(labels)) if labels and shown else {}
+    found = {}
+    for number, file in shown:
+        if known.get(file.name) if labels else labels_beside(file):
+            options: dict[str, object] = {"frames_each": frames, "seed": number}
+            options |= {"labels": labels} if labels else {}
+            found[file.name] = _recorded(file, "PannedPictures", json.dumps(options))
+    return found
 
 
 def _recorded(file: Path, source: str, options: str) -> tuple[str, ...]:

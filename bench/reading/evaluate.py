@@ -66,6 +66,8 @@ HEAD = [
 @click.option("--budgets", "--budget", default="1/4,1/8,1/16", help="shares of the pixel rate")
 @click.option("--data", default=ROAD, help=f"{ROAD}, or a folder of videos or photographs")
 @click.option("--clips", default=10, help="of every row")
+@click.option("--labels", default="", help="one JSON file for the folder: RoadText-1K or TextOCR")
+@click.option("--transcriptions", default="", help="RoadText-1K's second file, original release")
 @click.option("--frames", default=60, help="of a clip")
 @click.option("--seed", default=70_000, help="of the first street")
 @click.option("--graph", default=str(GRAPH), help="the loop")
@@ -86,9 +88,10 @@ def command(**given: Any) -> None:
 
 
 def evaluate(
-    *, strategies: str, budgets: str, data: str, clips: int, frames: int, seed: int, graph: str,
-    changes: tuple[str, ...], policy: str, replaced: tuple[str, ...], without: tuple[str, ...],
-    jobs: int, report: Path | None, markdown: Path | None, picture: Path | None, work: Path | None,
+    *, strategies: str, budgets: str, data: str, labels: str, transcriptions: str, clips: int,
+    frames: int, seed: int, graph: str, changes: tuple[str, ...], policy: str,
+    replaced: tuple[str, ...], without: tuple[str, ...], jobs: int, report: Path | None,
+    markdown: Path | None, picture: Path | None, work: Path | None,
 ) -> None:  # fmt: skip
     """Measure what is asked for and write it; raises `FoveaError`."""
     for name, value, most in (("clips", clips, MOST_CLIPS), ("frames", frames, MOST_FRAMES)):
@@ -98,7 +101,9 @@ def evaluate(
         raise SettingsError(f"seed, jobs: expected at least 0 and 1, got {seed} and {jobs}")
     if policy and not Path(policy).is_file():
         raise SettingsError(f"policy: expected an ONNX file, got {policy}")
-    played = clips_of(data, count=clips, frames=frames, seed=seed)
+    played = clips_of(
+        data, count=clips, frames=frames, seed=seed, labels=labels, transcriptions=transcriptions
+    )
     overlay = Overlay(changes=(*played[0].changes, *changes), clock="lockstep")
     size_px = size_of(load(Path(graph), overlay))
     asked = rows_of(

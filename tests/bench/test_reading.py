@@ -136,6 +136,34 @@ def test_a_video_goes_with_the_labels_of_its_name_or_the_only_ones(tmp_path: Pat
     assert only.name == "2.mp4"
 
 
+def test_a_video_of_the_original_release_has_a_second_file(tmp_path: Path) -> None:
+    (tmp_path / "7.mp4").touch()
+    for name in ("boxes.json", "texts.json"):
+        (tmp_path / name).touch()
+    files = {"labels": "boxes.json", "transcriptions": "texts.json"}
+    given = {name: str(tmp_path / file) for name, file in files.items()}
+
+    (clip,) = clips_of(str(tmp_path), count=9, frames=3, seed=0, **given)
+
+    assert f"capture.source_options={json.dumps(given)}" in clip.changes
+
+
+def test_photographs_of_textocr_have_one_file_of_labels(tmp_path: Path) -> None:
+    photographs(tmp_path)
+    points = [195, 155, 360, 155, 360, 195, 195, 195]
+    document = {
+        "imgs": {"a": {"file_name": "train/img_1.png"}},
+        "anns": {"a_1": {"image_id": "a", "points": points, "utf8_string": "BAKERY"}},
+    }
+    labels = tmp_path / "textocr.json"
+    labels.write_text(json.dumps(document))
+
+    (clip,) = clips_of(str(tmp_path), count=9, frames=3, seed=0, labels=str(labels))
+    found = trial(replace(job("temporal", 3), clip=clip))
+
+    assert (found.clip, found.legible, found.read) == ("img_1.png", 1, 1)
+
+
 def test_a_folder_without_clips_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DriverError, match=r"expected videos with NAME\.json or one JSON file"):
         clips_of(str(tmp_path), count=9, frames=3, seed=0)
@@ -238,6 +266,8 @@ def test_the_table_has_the_papers_figures_beside_ours() -> None:
         (["--budgets", "2/1"], "budgets"),
         (["--clips", "0"], "clips: expected 1 to"),
         (["--data", "nowhere"], "data: expected road or a folder, got nowhere"),
+        (["--labels", "t.json"], "labels: expected a file beside --data FOLDER, got t.json"),
+        (["--data", ".", "--labels", "no.json"], "labels: expected a JSON file, got no.json"),
         (["--policy", "no.onnx"], "policy: expected an ONNX file, got no.onnx"),
         (["--replace", "eyes"], "replace: expected detections, reader, got eyes"),
         (["--without", "tracks"], "without: expected features, percept, roi, got tracks"),
