@@ -18,7 +18,7 @@ from typing import Any
 import click
 
 from bench.options import Bench
-from bench.tracking.options import make_folder
+from bench.outputs import make_folder
 from bench.tracking.plots import looks
 from pipeline.errors import SettingsError
 from pipeline.extras import need

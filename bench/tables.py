@@ -18,9 +18,10 @@ import click
 
 from bench.machine import facts
 from bench.options import Bench
+from bench.outputs import make_folder
 from bench.run_time import by_objects, by_objects_markdown, markdown, run_time
 from bench.tracking.evaluate import asked, command, try_out
-from bench.tracking.options import make_folder, options_of, policy_files
+from bench.tracking.options import options_of, policy_files
 from bench.tracking.replaced import PARTS
 from operators.policy.network import SHIPPED
 from pipeline.errors import FoveaError

@@ -24,6 +24,7 @@ from bench.machine import facts
 from bench.manipulation.intervals import METHOD, paired, wilson
 from bench.manipulation.rows import Row, parsed, rows_of
 from bench.manipulation.trial import Job, Outcome, needed, plan_of, trial
+from bench.outputs import STANDARD_OUTPUT, make_room
 from drivers.scenes.insertion import COMPLETE, PARTIAL
 from operators.training.identity import of_code, of_plan
 from operators.training.progress import bar
@@ -50,7 +51,7 @@ MOST_TRIALS = 10_000
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--jobs", default=2, help="processes")
 @click.option("--report", type=Path, help="JSON")
-@click.option("--markdown", type=Path, help="the table as Markdown")
+@click.option("--markdown", type=Path, help="the table as Markdown; - prints it")
 @click.option("--work", type=Path, help="folder for finished trials; else beside the report")
 def command(**given: Any) -> None:
     """See the module."""
@@ -77,6 +78,7 @@ def evaluate(
     own = Job(graph=graph, changes=changes)
     asked = rows_of(strategies.split(","), parsed(budgets), plan_of(own))
     work = work or (report or Path("manipulation")).with_suffix(".work")
+    make_room(work, report=report, markdown=markdown)
     outcomes = measured(own, asked, range(seed, seed + trials), work, jobs)
     found = {
         **facts(LIBRARIES),
@@ -89,6 +91,9 @@ def evaluate(
     }
     if report:
         write_whole(report, json.dumps(found, indent=1) + os.linesep)
+    if markdown == STANDARD_OUTPUT:
+        click.echo(markdown_of(found["rows"]))
+        return
     if markdown:
         write_whole(markdown, markdown_of(found["rows"]))
     Console().print(table_of(found["rows"]))

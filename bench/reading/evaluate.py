@@ -23,6 +23,7 @@ from rich.table import Table
 
 from bench.machine import facts
 from bench.options import Bench
+from bench.outputs import STANDARD_OUTPUT, make_room
 from bench.reading.clips import ROAD, clips_of
 from bench.reading.plot import plot
 from bench.reading.rows import FOVEATED, FULL, INPUTS, PARTS, Row, rows_of
@@ -65,9 +66,9 @@ HEAD = [
 @click.option("--strategies", default="all", help="all, or some of them by comma")
 @click.option("--budgets", "--budget", default="1/4,1/8,1/16", help="shares of the pixel rate")
 @click.option("--data", default=ROAD, help=f"{ROAD}, or a folder of videos or photographs")
-@click.option("--clips", default=10, help="of every row")
 @click.option("--labels", default="", help="one JSON file for the folder: RoadText-1K or TextOCR")
 @click.option("--transcriptions", default="", help="RoadText-1K's second file, original release")
+@click.option("--clips", default=10, help="of every row")
 @click.option("--frames", default=60, help="of a clip")
 @click.option("--seed", default=70_000, help="of the first street")
 @click.option("--graph", default=str(GRAPH), help="the loop")
@@ -79,7 +80,7 @@ HEAD = [
 @click.option("--without", multiple=True, help="input left out: " + ", ".join(INPUTS))
 @click.option("--jobs", default=2, help="processes")
 @click.option("--report", type=Path, help="JSON")
-@click.option("--markdown", type=Path, help="the table as Markdown")
+@click.option("--markdown", type=Path, help="the table as Markdown; - prints it")
 @click.option("--plot", "picture", type=Path, help="share read over budget: PNG, PDF or SVG")
 @click.option("--work", type=Path, help="folder for finished clips; else beside the report")
 def command(**given: Any) -> None:
@@ -111,6 +112,7 @@ def evaluate(
         without=without,
     )  # fmt: skip
     work = work or (report or Path("text")).with_suffix(".work")
+    make_room(work, report=report, markdown=markdown, plot=picture)
     outcomes = measured(
         [
             Job(graph=graph, changes=changes, frames=frames, row=row, clip=clip)
@@ -134,10 +136,13 @@ def evaluate(
     }
     if report:
         write_whole(report, json.dumps(found, indent=1) + os.linesep)
-    if markdown:
-        write_whole(markdown, markdown_of(found["rows"]))
     if picture:
         plot(found["rows"], picture)
+    if markdown == STANDARD_OUTPUT:
+        click.echo(markdown_of(found["rows"]))
+        return
+    if markdown:
+        write_whole(markdown, markdown_of(found["rows"]))
     Console().print(table_of(found["rows"]))
 
 

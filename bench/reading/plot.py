@@ -6,16 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from bench.tracking.plots import looks
-from pipeline.errors import SettingsError
 from pipeline.extras import need
-
-SUFFIXES = (".png", ".pdf", ".svg")
 
 
 def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """Write the picture in the format of the suffix."""
-    if path.suffix not in SUFFIXES:
-        raise SettingsError(f"plot: expected {', '.join(SUFFIXES)} at the end, got {path}")
     need("matplotlib", "plot")
     from matplotlib.figure import Figure
 

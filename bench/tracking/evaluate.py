@@ -33,6 +33,7 @@ from rich.console import Console
 from rich.text import Text
 
 from bench.machine import facts
+from bench.outputs import STANDARD_OUTPUT
 from bench.tracking.budgets import acquisition
 from bench.tracking.cases import CUES, PROTOCOLS, SEES, Case, Protocol, cases
 from bench.tracking.classes import TRACKER, TRACKERS, check_prompted, planned
@@ -47,15 +48,7 @@ from bench.tracking.many_tables import (
     paired_of_many,
     table_of_many,
 )
-from bench.tracking.options import (
-    ALL,
-    GRAPH,
-    STANDARD_OUTPUT,
-    WHOLE,
-    Options,
-    options_of,
-    refuse_too_late,
-)
+from bench.tracking.options import ALL, GRAPH, WHOLE, Options, options_of, refuse_too_late
 from bench.tracking.plots import plot
 from bench.tracking.replaced import PARTS
 from bench.tracking.report import paired, rows

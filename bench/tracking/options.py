@@ -1,12 +1,12 @@
 """Options of an evaluation: command-line arguments -> values, validated before any work."""
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
+from bench.outputs import PLOTS, make_room
 from bench.tracking.budgets import CONTEXT, PURSUIT, parsed
 from bench.tracking.replaced import PARTS, Replaced
 from bench.tracking.targets import KINDS
@@ -23,8 +23,6 @@ LEAST = {
     **dict.fromkeys(("clips", "players", "every", "longest", "replan", "jobs"), 1),
     **dict.fromkeys(("delay", "seed"), 0),
 }
-PLOTS = (".png", ".pdf", ".svg")
-STANDARD_OUTPUT = Path("-")
 T = TypeVar("T")
 
 
@@ -92,24 +90,7 @@ class Options:
 
     def make_room(self) -> None:
         """Make the output folders; raises `SettingsError` for a file that cannot be written."""
-        make_folder("work", self.folder)
-        outputs = {"report": self.report, "markdown": self.markdown, "plot": self.plot}
-        for name, path in outputs.items():
-            if path in (None, STANDARD_OUTPUT):
-                continue
-            make_folder(name, path.parent)
-            if path.is_dir() or (path.exists() and not os.access(path, os.W_OK)):
-                raise SettingsError(f"{name}: expected a file that can be written, got {path}")
-
-
-def make_folder(name: str, folder: Path) -> None:
-    """Make a folder if there is none; raises `SettingsError` if it cannot be written to."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SettingsError(f"{name}: {folder}: cannot be a folder: {error.strerror}") from error
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise SettingsError(f"{name}: {folder}: cannot be written to")
+        make_room(self.folder, report=self.report, markdown=self.markdown, plot=self.plot)
 
 
 def options_of(given: Mapping[str, Any]) -> Options:

@@ -66,6 +66,18 @@ def test_what_cannot_be_measured_is_refused() -> None:
             parsed(text)
 
 
+@pytest.mark.parametrize("name", ["report", "markdown"])
+def test_a_table_that_cannot_be_written_is_refused_before_any_trial(
+    tmp_path: Path, name: str
+) -> None:
+    words = ["--work", str(tmp_path / "work"), f"--{name}", str(tmp_path)]
+
+    result = CliRunner().invoke(command, words)
+
+    assert result.exit_code == 2
+    assert f"{name}: expected a file that can be written, got {tmp_path}" in result.output
+
+
 def test_a_row_runs_only_what_its_strategy_needs() -> None:
     job = Job(graph=str(GRAPH), changes=())
 
@@ -106,7 +118,7 @@ def test_a_table_is_measured_written_and_taken_up_again(tmp_path: Path) -> None:
     first = CliRunner().invoke(command, options)
     work = tmp_path / "table.work"
     dates = {path: path.stat().st_mtime_ns for path in work.iterdir()}
-    again = CliRunner().invoke(command, options)
+    again = CliRunner().invoke(command, [*options, "--markdown=-"])
 
     assert (first.exit_code, again.exit_code) == (0, 0), first.output
     assert {path: path.stat().st_mtime_ns for path in work.iterdir()} == dates
@@ -114,4 +126,6 @@ def test_a_table_is_measured_written_and_taken_up_again(tmp_path: Path) -> None:
     assert (full["pixels"], full["rewards"], full["complete"]["share"]) == (1, [0, 0], 0)
     assert centred["pixels"] <= 1 / 16
     assert centred["complete"]["difference_to_full"][0] == 0
-    assert "| centred | 1/16 | 0.00 |" in (tmp_path / "table.md").read_text()
+    text = (tmp_path / "table.md").read_text()
+    assert "| centred | 1/16 | 0.00 |" in text
+    assert again.stdout.endswith(f"{text}\n")

@@ -271,7 +271,10 @@ def test_the_table_has_the_papers_figures_beside_ours() -> None:
         (["--policy", "no.onnx"], "policy: expected an ONNX file, got no.onnx"),
         (["--replace", "eyes"], "replace: expected detections, reader, got eyes"),
         (["--without", "tracks"], "without: expected features, percept, roi, got tracks"),
-        (["--plot", "picture.txt", "--clips", "1", "--frames", "0"], "frames: expected 1 to"),
+        (["--frames", "0"], "frames: expected 1 to"),
+        (["--plot", "picture.txt"], "plot: expected .png, .pdf, .svg at the end"),
+        (["--report", "/dev/null"], "report: expected a file that can be written, got /dev/null"),
+        (["--markdown", "/"], "markdown: expected a file that can be written, got /"),
         (["--graph", "graphs/tracking.yaml"], "node reader, got none"),
     ],
 )
