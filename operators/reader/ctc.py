@@ -6,9 +6,11 @@ costs a fraction of `Reader`, and finds nothing that the detector of texts has n
 """
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -52,12 +54,17 @@ class OnnxReaderSettings(NetworkSettings):
 class OnnxReader(TextReader[OnnxReaderSettings]):
     """Reads the tracks that are in the picture."""
 
+    @classmethod
+    def advise(cls, settings: OnnxReaderSettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """Nothing; raises `WeightsError` for a network that reads no lines."""
+        recogniser_of(settings)
+        return ()
+
     def open(self) -> None:
         """Load the network; raises `WeightsError` for one without letters of its own."""
-        s = self.settings
-        self.reads, self.forget_after = s.reads, s.forget_after
+        self.reads, self.forget_after = self.settings.reads, self.settings.forget_after
         super().open()
-        self._recogniser = Recogniser(Network(weights_of(s.weights), **s.compute), s.letters)
+        self._recogniser = recogniser_of(self.settings)
 
     def read(self, frame: Frame) -> list[Reading]:
         """Read each track that the picture shows nearly whole, the surest first."""
@@ -105,6 +112,12 @@ class Recogniser:
                 f"{len(self._letters)} letters, got {out.shape}"
             )
         return decoded(out[0], self._letters)
+
+
+def recogniser_of(settings: OnnxReaderSettings) -> Recogniser:
+    """Return what reads a line; raises `WeightsError` and `SettingsError`."""
+    network = Network(weights_of(settings.weights), **settings.compute)
+    return Recogniser(network, settings.letters)
 
 
 def decoded(chances: NDArray[np.float32], letters: tuple[str, ...]) -> tuple[str, float]:

@@ -44,9 +44,7 @@ class PaddleOcr:
     ) -> None:  # fmt: skip
         """Load the networks; raises `InstallError` and `WeightsError`."""
         need("rapidocr", "reader")
-        for name, path in (("detection", detection), ("recognition", recognition)):
-            if path and not Path(path).is_file():
-                raise WeightsError(f"{name}: expected an ONNX file, got {path}")
+        check_files(detection=detection, recognition=recognition)
         own = {"Det.model_path": detection, "Rec.model_path": recognition}
         given: dict[str, Any] = {
             "Global.log_level": "critical",
@@ -97,6 +95,15 @@ class PaddleOcr:
             if clean and np.isfinite(score):
                 made.append(Reading(text=clean, score=float(np.clip(score, 0, 1)), box=box))
         return made
+
+
+def check_files(**networks: str) -> None:
+    """Raise `WeightsError` for a file that is not there; an empty path is rapidocr's own."""
+    for name, path in networks.items():
+        if path and not Path(path).is_file():
+            raise WeightsError(
+                f"{name}: expected an ONNX file, got {path}; left empty it is rapidocr's own"
+            )
 
 
 def cut_off(

@@ -5,7 +5,7 @@ ROI's own resolution. Every frame is answered with all texts that are known and 
 only with those that this ROI shows.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.reader.instances import Instance, Instances
-from operators.reader.ocr import PaddleOcr, Reading
+from operators.reader.ocr import PaddleOcr, Reading, check_files
 from pipeline import Frame, Header, Input, Operator, Percept, SettingsError, Tracks
 from pipeline.errors import MessageError
 from pipeline.messages import Boxes, Ids, Shape
@@ -169,6 +169,12 @@ class TextReader(Operator[S, Percept]):
 
 class Reader(TextReader[ReaderSettings]):
     """Reads with PP-OCR, which finds the texts by itself."""
+
+    @classmethod
+    def advise(cls, settings: ReaderSettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """Nothing; raises `WeightsError` for a network that is not there."""
+        check_files(detection=settings.detection, recognition=settings.recognition)
+        return ()
 
     def open(self) -> None:
         """Load the networks; raises `InstallError` and `WeightsError`."""

@@ -164,9 +164,15 @@ def test_raw_pixels_are_refused_with_what_to_put_before(reader: Reader) -> None:
         reader.on_context_roi(context(), raw)
 
 
-def test_a_missing_network_is_refused_in_a_sentence() -> None:
-    with pytest.raises(WeightsError, match=r"recognition: expected an ONNX file, got no\.onnx"):
-        Reader(ReaderSettings(recognition="no.onnx")).open()
+def test_a_missing_network_is_refused_in_a_sentence_before_a_run_too() -> None:
+    missing = ReaderSettings(recognition="no.onnx")
+
+    for refused in (Reader(missing).open, lambda: Reader.advise(missing, {})):
+        with pytest.raises(WeightsError, match=r"recognition: expected an ONNX file, got no\.onnx"):
+            refused()
+    with pytest.raises(WeightsError, match=r"weights: expected an ONNX file, got no\.onnx"):
+        OnnxReader.advise(OnnxReaderSettings(weights="no.onnx"), {})
+    assert not [*Reader.advise(ReaderSettings(), {}), *OnnxReader.advise(OnnxReaderSettings(), {})]
 
 
 def test_a_file_that_is_no_network_is_refused_in_a_sentence(tmp_path: Path) -> None:
