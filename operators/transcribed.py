@@ -103,14 +103,15 @@ class Transcribed(Operator[TranscribedSettings, None]):
 
     def open(self) -> None:
         """Start with empty counts."""
-        self._tally = Tally()
+        self._tally, self._frames = Tally(), 0
 
     def on_stream(self, header: Header) -> None:
         """Ids of another stream are other texts."""
-        self._tally = Tally()
+        self._tally, self._frames = Tally(), 0
 
     def on_percept_truth(self, percept: Percept, truth: Truth) -> None:
         """Count one frame."""
+        self._frames += 1
         self._tally.add(percept, truth)
 
     def summary(self) -> Mapping[str, Any]:
@@ -118,6 +119,10 @@ class Transcribed(Operator[TranscribedSettings, None]):
         counts = self._tally.counts()
         share = counts["read"] / counts["legible"] if counts["legible"] else 0.0
         line = f"read {counts['read']} of {counts['legible']} legible texts"
+        if not self._frames:
+            line = "texts that were read: not known, the source has no truth"
+        elif not counts["legible"]:
+            line = "texts that were read: not known, the truth has no legible one"
         return {**counts, "transcribed": round(share, 4), HEADLINE: line}
 
     def headline(self) -> str:

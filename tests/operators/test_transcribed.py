@@ -5,8 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators.transcribed import ILLEGIBLE, Tally, edits, matches
+from operators.transcribed import (
+    ILLEGIBLE,
+    Tally,
+    Transcribed,
+    TranscribedSettings,
+    edits,
+    matches,
+)
 from pipeline import Header, Percept
+from pipeline.contract import HEADLINE
 from pipeline.errors import MessageError
 from pipeline.messages import Truth
 
@@ -87,6 +95,26 @@ def test_one_reading_is_at_one_place_only() -> None:
     near = (105.0, 50.0, 165.0, 70.0)
 
     assert matches(np.array([BOX], np.float32), np.array([BOX, near], np.float32)) == [(0, 0)]
+
+
+@pytest.mark.parametrize(
+    ("label", "sentence"),
+    [
+        ("", "texts that were read: not known, the source has no truth"),
+        (ILLEGIBLE, "texts that were read: not known, the truth has no legible one"),
+        ("BAKERY", "read 1 of 1 legible texts"),
+    ],
+)
+def test_a_clip_without_truth_is_told_and_not_counted_as_nothing_read(
+    label: str, sentence: str
+) -> None:
+    operator = Transcribed(TranscribedSettings())
+    operator.open()
+
+    if label:
+        operator.on_percept_truth(percept(("bakery", BOX)), truth((1, label, BOX)))
+
+    assert operator.summary()[HEADLINE] == sentence
 
 
 def test_labels_that_do_not_fit_the_boxes_are_refused() -> None:
