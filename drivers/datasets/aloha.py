@@ -153,8 +153,8 @@ def _opened(path: str) -> Any:
         return h5py.File(path, "r")
     except OSError as error:
         raise DriverError(
-            f"{path}: expected an episode as HDF5, got a file that is another or cut short: "
-            f"{_reason(error)}"
+            f"{path}: expected an episode as HDF5, got a file that is another or cut short, to be "
+            f"copied or recorded anew: {_reason(error)}"
         ) from error
 
 
