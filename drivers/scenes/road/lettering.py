@@ -4,10 +4,11 @@ Fonts are those that packages bring (DejaVu with Matplotlib, Roboto and Source w
 `text`), or those of a folder.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from importlib.util import find_spec
 from io import BytesIO
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,20 +42,28 @@ MOST_FONTS = 64  # of a folder
 FILES = (".ttf", ".otf")
 
 
-def fonts(folder: str = "") -> tuple[Path, ...]:
+def fonts(folder: str = "", texts: Iterable[str] = ()) -> tuple[Path, ...]:
     """Return the files of the fonts of a folder, or of all installed packages.
 
-    Raises `SettingsError` where there is none.
+    Raises `SettingsError` where there is none, and for a file of the folder that is no font or
+    lacks a glyph of the texts.
     """
     if folder:
         found = sorted(p for p in Path(folder).glob("*") if p.suffix.lower() in FILES)[:MOST_FONTS]
         if not found:
             raise SettingsError(f"fonts: {folder}: expected .ttf or .otf files, got none")
+        for font, text in product(found, tuple(texts)):
+            check_glyphs(font, text)
         return tuple(found)
-    found = [path for package, names in PACKAGES.items() for path in _files(package, names)]
+    found = list(_installed())
     if not found:
         raise SettingsError("fonts: no font is installed; pip install 'fovea[text]', or set fonts")
     return tuple(found)
+
+
+def _installed() -> Iterator[Path]:
+    for package, names in PACKAGES.items():
+        yield from _files(package, names)
 
 
 def _files(package: str, names: Iterable[str]) -> list[Path]:
@@ -65,7 +74,7 @@ def _files(package: str, names: Iterable[str]) -> list[Path]:
 
 def with_many_scripts() -> Path | None:
     """Return the font that knows the scripts of `words.FOREIGN`, None where it is missing."""
-    return next((path for path in fonts() if path.name == MANY_SCRIPTS), None)
+    return next((path for path in _installed() if path.name == MANY_SCRIPTS), None)
 
 
 def check_glyphs(font: Path, text: str) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.scenes.limits import check_scene
-from drivers.scenes.road import lettering
+from drivers.scenes.road import lettering, words
 from drivers.scenes.road.conditions import WEATHERS, draw_conditions
 from drivers.scenes.road.drawing import Seen, View, paint_ground, paste, seen
 from drivers.scenes.road.panels import Lettered, Panel
@@ -87,7 +87,7 @@ class RoadScene:
         self._waves = rng.uniform(0, 2 * np.pi, 6)
         self._street = Street(
             seed=seed, half_width_m=HALF_WIDTH_M * self._larger, conditions=self._conditions,
-            fonts=lettering.fonts(fonts), many_scripts=lettering.with_many_scripts(),
+            fonts=lettering.fonts(fonts, words.ENGLISH), many_scripts=lettering.with_many_scripts(),
         )  # fmt: skip
         self._cars = self._street.cars()
         self._segments: OrderedDict[tuple[int, int], list[Panel]] = OrderedDict()

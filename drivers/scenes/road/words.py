@@ -31,7 +31,9 @@ FOREIGN = (  # scripts that an English reader leaves alone
     *("ΚΑΦΕΝΕΙΟ", "ΦΑΡΜΑΚΕΙΟ", "ΒΙΒΛΙΑ", "ΠΛΑΤΕΙΑ", "ΞΕΝΟΔΟΧΕΙΟ", "АПТЕКА", "ХЛЕБ", "КНИГИ"),
     *("ЦВЕТЫ", "ПОЧТА", "МАГАЗИН", "ԳՐՔԵՐ", "ՀԱՑ", "ԴԵՂԱՏՈՒՆ", "წიგნები", "პური", "აფთიაქი"),
 )
-LETTERS = np.array(list("ABCDEFGHJKLMNPRSTUVWXYZ"))
+PLATES = "ABCDEFGHJKLMNPRSTUVWXYZ"
+LETTERS = np.array(list(PLATES))
+ENGLISH = (*TRADES, *FIRST, *NAMES, *PLACES, *ORDERS, PLATES, "0123456789", "& Sons")
 
 
 def shop(rng: np.random.Generator) -> str:

@@ -1,5 +1,6 @@
 """The road scene: texts along a street, with exact truth."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -208,8 +209,20 @@ def test_a_font_without_a_glyph_is_refused_by_name() -> None:
         lettering.check_glyphs(font, "A漢")
 
 
+def test_a_font_of_ones_own_is_tried_on_all_that_a_street_says_before_it_is_drawn(
+    tmp_path: Path,
+) -> None:
+    whole = next(path for path in lettering.fonts() if path.name == "DejaVuSans.ttf")
+    shutil.copy(whole, tmp_path / "whole.ttf")
+    RoadScene(fonts=str(tmp_path))
+    shutil.copy(whole.with_name("DejaVuSansDisplay.ttf"), tmp_path / "symbols.ttf")
+
+    with pytest.raises(SettingsError, match=r"symbols\.ttf: expected a glyph for '[A-Z]' of '"):
+        RoadScene(fonts=str(tmp_path))
+
+
 def test_a_file_that_is_no_font_is_refused(tmp_path: Path) -> None:
     (tmp_path / "broken.ttf").write_bytes(b"no font")
 
     with pytest.raises(SettingsError, match=r"broken\.ttf: expected a font"):
-        RoadScene(fonts=str(tmp_path)).picture(0)
+        RoadScene(fonts=str(tmp_path))
