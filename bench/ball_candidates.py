@@ -52,10 +52,11 @@ def main(
 
 
 def candidates(
-    sequence: Path, weights: str, *, scale: float, every: int = 1, threads: int = 1
-) -> dict[str, Any]:
+    sequence: Path, weights: str, *, scale: float, every: int = 1, threads: int = 1,
+    input_px: tuple[int, int] = (0, 0),
+) -> dict[str, Any]:  # fmt: skip
     """Return the report on a detector and a sequence; raises `DriverError`, `WeightsError`."""
-    looker = Looker(weights, {}, scale, threads, confidence=FLOOR)
+    looker = Looker(weights, {}, scale, threads, confidence=FLOOR, input_px=input_px)
     for name in NAMES:
         looker.known(name)
     source = SoccerNetSequence(path=str(sequence))

@@ -71,11 +71,11 @@ def main(
 
 def scored(
     folder: Path, weights: str, *, scale: float, split: str, choose_on: str, threads: int = 1,
-    classes: str = "", every: int = 1,
+    classes: str = "", every: int = 1, input_px: tuple[int, int] = (0, 0),
 ) -> dict[str, Any]:  # fmt: skip
     """Return the report on a detector and a folder; raises `SettingsError`, `WeightsError`."""
     wanted, names = _classes(folder, classes)
-    low = Looker(weights, names, scale, threads, confidence=FLOOR)
+    low = Looker(weights, names, scale, threads, confidence=FLOOR, input_px=input_px)
     wanted = {number: low.known(name) for number, name in wanted.items()}
     files = of_split(folder, split)[::every]
     chosen: Mapping[str, float] = {}

@@ -35,14 +35,18 @@ class Looker:
     """A detector that looks at pictures shrunk by `scale`.
 
     A network with open sides looks at what exceeds its usual input as a whole, any other one at a
-    picture that fits its input. `wall_ms` and `processor_ms` keep the time of each look.
+    picture that fits its input. `input_px` gives such a network another usual input; in a larger
+    one pictures are enlarged. `wall_ms` and `processor_ms` keep the time of each look.
     """
 
     def __init__(
-        self, weights: str, names: Mapping[str, str], scale: float, threads: int, confidence: float
-    ) -> None:
+        self, weights: str, names: Mapping[str, str], scale: float, threads: int,
+        confidence: float, input_px: tuple[int, int] = (0, 0),
+    ) -> None:  # fmt: skip
         self._scale = scale
-        self._own = SaliencySettings(weights=weights, names=names, threads=threads)
+        self._own = SaliencySettings(
+            weights=weights, names=names, threads=threads, input_px=input_px
+        )
         self._usual = Detector(self._own)
         # of a ball weaker candidates count, too: the best three of a picture
         balls = {n: WEAK for n in self._usual.names if LABELS.get(n) == LABELS[BALL]}

@@ -4,10 +4,12 @@ Scores each on the stills that no training saw (FOOTBALL, broadcast, and WIDE, a
 match and at several scales, with confidences chosen on the development stills at the same scale,
 and on SEQUENCE, a SoccerNet folder, with the network's own. A ball is also judged by its centre and
 by whether it is among the best three candidates; on the sequence apart for a ball that lies still,
-is free or is carried.
+is free or is carried. FILE@WIDTHxHEIGHT gives a network an input other than its usual one, into
+which smaller pictures are enlarged.
 """
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,16 +31,16 @@ IN_BEST = f"among {BEST}"
 Row = dict[str, Any]
 
 
-def named(text: str) -> tuple[str, str]:
-    """Return the name and the file of a version; raises `SettingsError`.
+def named(text: str) -> tuple[str, str, tuple[int, int]]:
+    """Return name, file and input (0, 0: its usual one) of a version; raises `SettingsError`.
 
-    >>> named("before=old.onnx")
-    ('before', 'old.onnx')
+    >>> named("before=old.onnx"), named("enlarged=eight_bits@736x416")
+    (('before', 'old.onnx', (0, 0)), ('enlarged', 'eight_bits', (736, 416)))
     """
-    name, equals, file = text.partition("=")
-    if not (name and equals and file):
-        raise SettingsError(f"versions: expected NAME=FILE.onnx, got {text[:60]!r}")
-    return name, file
+    found = re.fullmatch(r"([^=]+)=(.+?)(?:@(\d{1,5})x(\d{1,5}))?", text)
+    if not found:
+        raise SettingsError(f"versions: expected NAME=FILE.onnx[@WIDTHxHEIGHT], got {text[:60]!r}")
+    return found[1], found[2], (int(found[3] or 0), int(found[4] or 0))
 
 
 def rows_of(version: str, report: Mapping[str, Any]) -> Iterator[Row]:
@@ -72,10 +74,14 @@ def rows_of_states(version: str, report: Mapping[str, Any]) -> Iterator[Row]:
 @click.option("--football", type=click.Path(path_type=Path, exists=True), help="Labelled stills.")
 @click.option("--wide", type=click.Path(path_type=Path, exists=True), help="Of a whole pitch.")
 @click.option("--sequence", type=click.Path(path_type=Path, exists=True), help="SoccerNet's.")
+@click.option(
+    "--scale", "scales", multiple=True, type=click.FloatRange(0.01, 1),
+    help="Of the stills, several times; usually .25, .5 and 1, of a whole pitch .7 and 1.",
+)  # fmt: skip
 @JSON
 def main(
     versions: tuple[str, ...], football: Path | None, wide: Path | None, sequence: Path | None,
-    path: Path | None,
+    scales: tuple[float, ...], path: Path | None,
 ) -> None:  # fmt: skip
     """Compare versions of the detector, by match and scale."""
     folders = {name: folder for name, folder in (("football", football), ("wide", wide)) if folder}
@@ -83,10 +89,13 @@ def main(
         raise SettingsError("data: expected --football, --wide or --sequence, got none of them")
     rows: list[Row] = []
     times: list[Row] = []
-    for version, file in map(named, versions):
+    for version, file, input_px in map(named, versions):
         for data, folder in folders.items():
-            for scale in SCALES[data]:
-                report = scored(folder, file, scale=scale, split="test", choose_on="development")
+            for scale in scales or SCALES[data]:
+                report = scored(
+                    folder, file, scale=scale, split="test", choose_on="development",
+                    input_px=input_px,
+                )  # fmt: skip
                 rows += rows_of(version, report)
                 told = {"version": version, "data": data, "scale": scale}
                 times.append(
@@ -95,7 +104,7 @@ def main(
                     | {f"processor ms, {k}": v for k, v in report["processor_ms"].items()}
                 )
         if sequence:
-            report = candidates(sequence, file, scale=0.25)
+            report = candidates(sequence, file, scale=0.25, input_px=input_px)
             rows += [*rows_of(version, report), *rows_of_states(version, report)]
     console = Console()
     console.print(table("versions of the detector", rows))

@@ -176,7 +176,7 @@ PLACES = {
     ),
     "detector_versions": Place(
         section="Networks and scenes", order=11,
-        title="The detector before and after training on real stills, by match and scale",
+        title="Versions of the detector and of its input, by match and scale",
     ),
     "fuzz": Place(
         section="Several hosts and security", order=5,

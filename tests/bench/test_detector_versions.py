@@ -2,10 +2,15 @@
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from bench.detector_scoring import Looker
 from bench.detector_versions import main, rows_of, rows_of_states
+from drivers.scenes.soccer import SoccerScene
+from pipeline.boxes import iou
 from pipeline.errors import SettingsError
 
 BALL = {"class": "ball", "present": 4, "precision": 0.5, "recall": 0.25, "average_precision": 0.2}
@@ -28,12 +33,26 @@ def test_each_state_of_a_ball_has_a_row() -> None:
     assert (row["class"], row["present"], row["among 3"]) == ("ball, free", 9, 0.5)
 
 
+def test_a_picture_is_enlarged_into_a_larger_input_and_found_where_it_is() -> None:
+    scene = SoccerScene(size_px=(1920, 1080), rate_hz=25, seed=5)
+    small = cv2.resize(scene.picture(0), (480, 270), interpolation=cv2.INTER_AREA)
+    usual, larger = (
+        Looker("", {}, 0.25, 1, confidence=0.3, input_px=size) for size in ((0, 0), (736, 416))
+    )
+
+    found, enlarged = usual.look(small)["player"][0], larger.look(small)["player"][0]
+
+    assert (usual.input_px, larger.input_px) == ((480, 288), (736, 416))
+    assert len(found) > 5
+    assert np.mean(iou(found, enlarged).max(1) > 0.5) > 0.7
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (
             ["detector.onnx", "--wide", "."],
-            "versions: expected NAME=FILE.onnx, got 'detector.onnx'",
+            "versions: expected NAME=FILE.onnx[@WIDTHxHEIGHT], got 'detector.onnx'",
         ),
         (["new=detector.onnx"], "data: expected --football, --wide or --sequence, got none"),
     ],
