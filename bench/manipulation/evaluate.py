@@ -81,6 +81,7 @@ def evaluate(
     make_room(work, report=report, markdown=markdown)
     outcomes = measured(own, asked, range(seed, seed + trials), work, jobs)
     found = {
+        "bench": "manipulation",
         **facts(LIBRARIES),
         "graph": Path(graph).name,
         "changes": list(changes),

@@ -123,6 +123,7 @@ def evaluate(
         jobs,
     )
     found = {
+        "bench": "reading",
         **facts(LIBRARIES),
         "graph": Path(graph).name,
         "changes": list(changes),

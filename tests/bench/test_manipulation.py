@@ -122,7 +122,9 @@ def test_a_table_is_measured_written_and_taken_up_again(tmp_path: Path) -> None:
 
     assert (first.exit_code, again.exit_code) == (0, 0), first.output
     assert {path: path.stat().st_mtime_ns for path in work.iterdir()} == dates
-    full, centred = json.loads((tmp_path / "table.json").read_text())["rows"]
+    report = json.loads((tmp_path / "table.json").read_text())
+    assert report["bench"] == "manipulation"
+    full, centred = report["rows"]
     assert (full["pixels"], full["rewards"], full["complete"]["share"]) == (1, [0, 0], 0)
     assert centred["pixels"] <= 1 / 16
     assert centred["complete"]["difference_to_full"][0] == 0
