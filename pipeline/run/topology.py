@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from pipeline.bus.ledger import ROOM_EDGES, ROOM_NODES
 from pipeline.errors import RunError
 from pipeline.graph.plan import Edge, Node, Plan
 from pipeline.graph.ports import check_ports
@@ -259,7 +260,8 @@ def _numbered(manager: ProcessManager, plan: Plan) -> Plan:
                 raise RunError(f"{edge.end}: the policy of an edge cannot change while it runs")
     except StopIteration:
         raise RunError(
-            f"{plan.name}: the accounts have no room for more nodes or edges; restart the graph"
+            f"{plan.name}: expected at most {ROOM_NODES} nodes and {ROOM_EDGES} edges more than it "
+            "started with, got more; what joined it must leave, or the graph be started with it"
         ) from None
     return replace(plan, nodes=tuple(nodes), edges=tuple(edges))
 
