@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
+from rich.console import Group
+from rich.text import Text
 
 from pipeline.cli.overlaid import load_overlaid
 from pipeline.errors import RunError
@@ -20,7 +21,7 @@ from pipeline.terminal import lean_table
 WRITE_BESIDE = "operators.visualise.beside:write_beside"  # by its path: no import of an operator
 CHECK_COLUMNS = "operators.visualise.beside:columns"
 SOURCE = "recording"  # the shipped source that plays a recording's frames
-MOST_FIGURES = 12
+MOST_FIGURES = 24
 OTHER = {  # of a report: of this host and of the runtime, not of the light
     "duration_s", "edges", "stages", "restarts", "crashes", "rate", "loop", "verdict", "frames",
 }  # fmt: skip
@@ -72,16 +73,21 @@ def _run(
     return found
 
 
-def table(reports: Mapping[str, Report]) -> Table:
-    """Return the figures of the nodes that differ between the runs, a run a line."""
+def table(reports: Mapping[str, Report]) -> Group:
+    """Return the figures of the nodes that differ between the runs: a line each, a run a column.
+
+    Above it stands which run has which number.
+    """
     figures = {label: dict(_figures(report)) for label, report in reports.items()}
     names = list(dict.fromkeys(name for one in figures.values() for name in one))
     differing = [n for n in names if len({one.get(n) for one in figures.values()}) > 1]
-    shown = (differing or names)[:MOST_FIGURES]
-    made = lean_table(names=("try",), figures=tuple(shown), spare=tuple(reversed(shown)))
-    for label, one in figures.items():
-        made.add_row(label, *(f"{one[name]:g}" if name in one else "" for name in shown))
-    return made
+    runs = [str(number) for number in range(1, len(figures) + 1)]
+    said = [f"{number}: {label}" for number, label in zip(runs, figures, strict=True)]
+    made = lean_table(names=("figure",), figures=runs)
+    for name in (differing or names)[:MOST_FIGURES]:
+        values = [f"{one[name]:g}" if name in one else "" for one in figures.values()]
+        made.add_row(name, *values)
+    return Group(*map(Text, said), made)
 
 
 def _figures(value: Any, where: str = "") -> Iterator[tuple[str, float]]:
