@@ -1,6 +1,9 @@
 """`fovea view`: watch a running graph in a browser."""
 
 import socket
+import subprocess
+from contextlib import suppress
+from subprocess import DEVNULL
 from urllib.parse import quote
 
 import click
@@ -37,11 +40,17 @@ def view(
         try:
             click.echo(f"{client.name}: look at {address}\nCtrl-C ends the view; the graph goes on")
             if not no_browser:
-                click.launch(address)
+                _launch(address)
             over = follow(client, node)
         except KeyboardInterrupt:
             over = f"{client.name}: goes on without the view"
     click.echo(over)
+
+
+def _launch(address: str) -> None:
+    """Open a browser where there is one: the address is printed in any case."""
+    with suppress(OSError):  # no xdg-open; of its own complaints nothing is shown either
+        subprocess.Popen(["xdg-open", address], stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL)
 
 
 def _free(name: str, taken: tuple[int, ...]) -> int:

@@ -1,5 +1,6 @@
 """`fovea view` attaches to a running graph and leaves without a trace."""
 
+import os
 import re
 import secrets
 import signal
@@ -191,3 +192,19 @@ def test_a_live_setting_that_changed_is_told_once() -> None:
     told += [changed_settings(client, known) for _ in range(2)]
 
     assert told == [[], ['policy.target = "player"'], []]
+
+
+def test_without_a_browser_the_address_is_printed_and_nothing_else(
+    name: str, tmp_path: Path
+) -> None:
+    view = subprocess.Popen(
+        [*FOVEA, "view", name], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        env={**os.environ, "PATH": str(tmp_path)},
+    )  # fmt: skip
+    assert view.stdout is not None
+    said = [view.stdout.readline() for _ in range(2)]
+    view.send_signal(signal.SIGINT)
+    rest = view.communicate(timeout=60)[0]
+
+    assert said[0].startswith(f"{name}: look at http://127.0.0.1:")
+    assert rest.splitlines() == [f"{name}: goes on without the view"]
