@@ -45,7 +45,7 @@ class Network:
         if not path.is_file():
             raise WeightsError(f"{path}: no such weights{pull_hint(path)}")
         self.provider, self._session = _loaded(path, threads, provider, device)
-        self.path = path
+        self.path, self._asked = path, provider
         self.input_types = {i.name: str(i.type) for i in self._session.get_inputs()}
         self._half = {name for name, kind in self.input_types.items() if kind == HALF}
         self.inputs = {i.name: i.shape for i in self._session.get_inputs()}
@@ -57,8 +57,14 @@ class Network:
         return {f"provider of {self.path.name}": self.provider}
 
     def headline(self) -> str:
-        """What it runs on, for an operator's `headline`: nothing for the CPU."""
-        return "" if self.provider == CPU else f"{self.path.stem} on {self.provider}"
+        """What it runs on, for an operator's `headline`.
+
+        Nothing for the CPU where nothing else was asked for or is installed.
+        """
+        if self._asked not in (AUTO, CPU, self.provider):
+            return f"{self.path.stem} on {self.provider}, {self._asked} does not load"
+        alone = self.provider == CPU and (self._asked == CPU or available() == (CPU,))
+        return "" if alone else f"{self.path.stem} on {self.provider}"
 
     def __call__(self, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Run once: arrays by input name -> arrays by output name.

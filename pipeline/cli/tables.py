@@ -130,20 +130,20 @@ def loop_lines(loop: Loop) -> list[Text]:
 def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:
     """Return a table with the state and problems of every node."""
     table = lean_table(
-        names=("graph", "node"), words=("state", "what is wrong"),
+        names=("graph", "node"), words=("state", "what is wrong", "what it says"),
         figures=("pid", "epoch", "frame", "own MB"),
         spare=("epoch", "own MB", "pid", "frame"),
     )  # fmt: skip
     for graph, nodes in found.items():
         for node, health in nodes.items():
             if health is None:
-                _add(table, graph, node, "", _red("no answer"), *[""] * 4)
+                _add(table, graph, node, "", _red("no answer"), *[""] * 5)
                 continue
             broken = [f"{end} lost messages it was promised" for end in health.broken]
             wrong = "; ".join(filter(None, [health.problem, *broken]))
             _add(
-                table, graph, node, health.state, wrong, str(health.pid), str(health.epoch),
-                str(health.last_seq), f"{health.own_mb:.0f}",
+                table, graph, node, health.state, wrong, health.words, str(health.pid),
+                str(health.epoch), str(health.last_seq), f"{health.own_mb:.0f}",
             )  # fmt: skip
     return table
 

@@ -44,6 +44,11 @@ def test_a_provider_that_is_not_installed_is_warned_of_and_the_cpu_computes(
     (sentence,) = caplog.messages
     assert sentence.startswith(f"provider: {absent} is not in this installation")
     assert PROVIDERS[absent][1] in sentence
+    assert network.headline() == f"policy on cpu, {absent} does not load"
+
+
+def test_the_cpu_is_no_headline_where_nothing_else_was_asked_for():
+    assert Network(SHIPPED, provider="cpu").headline() == ""
 
 
 def test_auto_takes_what_is_there_without_a_warning(caplog: pytest.LogCaptureFixture):
