@@ -129,7 +129,7 @@ def opened(path: Path) -> Iterator[TextIO]:
         with path.open("x") as file:
             yield file
     except OSError as error:
-        raise RunError(f"{path}: {error.strerror}") from error
+        raise RunError(f"--save {path}: cannot be written: {error.strerror}") from error
 
 
 def collector(url: str) -> "SpanExporter":

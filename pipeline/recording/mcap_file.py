@@ -18,7 +18,6 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from pipeline.errors import RunError
-from pipeline.text import said_by
 
 COMPRESSION = {
     "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE,
@@ -148,7 +147,7 @@ class McapChunks:
             with path.open("rb") as stream:
                 first = stream.read(8)
         except OSError as error:
-            raise RunError(f"{path}: cannot be read: {said_by(error)}") from error
+            raise RunError(f"{path}: cannot be read: {error.strerror}") from error
         if first != b"\x89MCAP0\r\n":
             raise RunError(f"{path}: expected an MCAP file, got something else")
 

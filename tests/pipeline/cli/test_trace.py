@@ -126,7 +126,7 @@ def test_wrong_words_are_refused_in_one_sentence(graph: str, tmp_path: Path) -> 
     (tmp_path / "there").write_text("kept")
     for words, status, said in (
         ((), 2, "expected --otlp URL or --save FILE, one of the two"),
-        (("--save", str(tmp_path / "there")), 1, "there: File exists"),
+        (("--save", str(tmp_path / "there")), 1, "there: cannot be written: File exists"),
         (("--save", str(tmp_path / "no" / "file")), 1, "No such file or directory"),
     ):
         done = fovea("trace", graph, *words)
