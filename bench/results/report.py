@@ -188,6 +188,10 @@ PLACES = {
         section="Time and transport", order=6,
         title="Recorded and replayed, bit for bit; and other settings on the same light",
     ),
+    "recording": Place(
+        section="Time and transport", order=6,
+        title="Recording the prototype's two streams, and recorders that are killed",
+    ),
     "fleet_growth": Place(
         section="Several hosts and security", order=8,
         title="How a deployment grows with its hosts, all of them on one machine",
