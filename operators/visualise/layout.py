@@ -4,46 +4,49 @@ from collections.abc import Sequence
 
 import rerun.blueprint as rrb
 
+from operators.visualise.shown import Shown
+
 SHOWN_FRAMES = 600  # of plots: the last ones
 RASTER_PX = (-90, 260), (-16, 124)  # left to right, top to bottom; the names stand left of 0
 
 
-def layout(windows: int, size_px: tuple[int, int], *, full: bool = False) -> rrb.Blueprint:
+def layout(shown: Shown) -> rrb.Blueprint:
     """The field, the ROI beside its window in the context; below, the policy, figures, the log.
 
-    On a second tab of the field: what is read, beside full resolution if it is known.
+    On a second tab of the field: what is read, beside full resolution if it is known. What the
+    consumer does comes first: its actions in place of the raster, or its texts in the log.
     """
+    size_px = shown.size_px
     bounds = rrb.VisualBounds2D(x_range=(0, size_px[0]), y_range=(0, size_px[1]))
     field = rrb.Spatial2DView(
         origin="sensor", name="whole field, the ROI in place",
         visual_bounds=bounds if all(size_px) else None,
     )  # fmt: skip
-    names = ["roi", *(f"roi_{k}" for k in range(2, windows + 1))]
+    names = ["roi", *(f"roi_{k}" for k in range(2, shown.windows + 1))]
     pairs = [pair(f"sensor/{name}", f"window/{name}", name) for name in names]
-    gain = pairs[0] if windows == 1 else rrb.Tabs(*pairs)
+    gain = pairs[0] if shown.windows == 1 else rrb.Tabs(*pairs)
+    read = _foveated(names, bounds if all(size_px) else None, full=shown.full)
+    above = rrb.Horizontal(rrb.Tabs(field, read), gain, column_shares=[5, 3])
     raster = rrb.Spatial2DView(
         origin="scanpath",
         name="policy: objects by frames",
         visual_bounds=rrb.VisualBounds2D(x_range=RASTER_PX[0], y_range=RASTER_PX[1]),
     )
-    field_tabs = rrb.Tabs(field, _foveated(names, bounds if all(size_px) else None, full=full))
-    above = rrb.Horizontal(field_tabs, gain, column_shares=[5, 3])
-    log = rrb.TextLogView(origin="log", name="what happened")
-    legend = rrb.TextDocumentView(origin="legend", name="what is drawn")
+    figures = [
+        plot("target", "figures/target", (0.0, 1.05)), plot("pixels", "figures/pixels"),
+        plot("drops", "drops"),
+    ]  # fmt: skip
     below = rrb.Horizontal(
-        raster,
+        rrb.Tabs(plot("action", "action"), raster) if shown.acts else raster,
+        rrb.Tabs(*_latency(details=shown.details)),
+        rrb.Tabs(*figures),
         rrb.Tabs(
-            plot("loop latency, ms", "latency/loop"),
-            plot("by stage", "latency/stages"),
-            plot("details", "latency/each"),
+            rrb.TextDocumentView(origin="legend", name="what is drawn"),
+            rrb.TextLogView(
+                origin="log", name="texts and events" if shown.reads else "what happened"
+            ),
+            active_tab=1 if shown.reads else 0,
         ),
-        rrb.Tabs(
-            plot("target", "figures/target", (0.0, 1.05)),
-            plot("pixels", "figures/pixels"),
-            plot("drops", "drops"),
-            plot("action", "action"),
-        ),
-        rrb.Tabs(legend, log),
         column_shares=[3, 3, 3, 3],
     )
     return rrb.Blueprint(
@@ -52,6 +55,11 @@ def layout(windows: int, size_px: tuple[int, int], *, full: bool = False) -> rrb
         auto_views=False,
         auto_layout=False,
     )
+
+
+def _latency(*, details: bool) -> list[rrb.TimeSeriesView]:
+    shown = [plot("loop latency, ms", "latency/loop"), plot("by stage", "latency/stages")]
+    return [*shown, plot("details", "latency/each")] if details else shown
 
 
 def collapsed_panels() -> tuple[rrb.TimePanel, rrb.SelectionPanel, rrb.BlueprintPanel]:

@@ -14,9 +14,11 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from operators.visualise.glance import Glance
 from operators.visualise.held import Held
 from operators.visualise.layout import layout
 from operators.visualise.server import Audience, await_listener, serve
+from operators.visualise.shown import Shown
 from pipeline.errors import RunError
 from pipeline.growing_file import CLOSE_S, GrowingFile, never_collect
 
@@ -67,11 +69,10 @@ class Screen:
         self._held: Held[Drawn] = Held()
         self._now = (0, 0)  # frame, ns since the start of the stream
         self._newest: int | None = None  # frame that was sent
-        self._shape: tuple[int, int, int, bool] | None = None
+        self._shown: Shown | None = None
+        self._glance = Glance()
         for path, (name, colour) in LINES.items():
             self._recording.log(path, rr.SeriesLines(names=name, colors=colour), static=True)
-        legend = rr.TextDocument(LEGEND, media_type=rr.MediaType.MARKDOWN)
-        self._recording.log("legend", legend, static=True)
 
     def wanted(self) -> bool:
         """Return whether to draw: somebody watches, and takes what is sent; or a file does.
@@ -129,6 +130,9 @@ class Screen:
         if source:
             self._send(self._held.complete())
             self._held.arrived(frame, source)
+            if self._glance.is_due(since_start_ns):
+                text = f"{self._glance.text()}\n\n{LEGEND}"
+                self._log("legend", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
     def send_all(self) -> None:
         """Send what is held; a new stream may begin."""
@@ -190,19 +194,21 @@ class Screen:
     def value(self, path: str | list[object], *values: float) -> None:
         """Plot one value, or several as lines of their own."""
         self._log(path, rr.Scalars(values))
+        self._glance.add(path, values[0])
+
+    def aim(self, target: str) -> None:
+        """Take the name of what the policy looks at, empty for none."""
+        self._glance.target = target
 
     def line(self, text: str, level: str = "INFO") -> None:
         """Add a line to the log, at once."""
         self._send(iter([(self._now[0], [(self._now, "log", rr.TextLog(text, level=level))])]))
 
-    def lay_out(self, windows: int, size_px: tuple[int, int], *, full: bool) -> None:
-        """Lay the panels out for a sensor of this size that reads so many windows.
-
-        `full`: the whole field is known at full resolution, too.
-        """
-        if self._shape != (windows, *size_px, full):
-            self._shape = (windows, *size_px, full)
-            self._recording.send_blueprint(layout(windows, size_px, full=full))
+    def lay_out(self, shown: Shown) -> None:
+        """Lay the panels out for what there is to show."""
+        if self._shown != shown:
+            self._shown = shown
+            self._recording.send_blueprint(layout(shown))
 
     def _log(self, path: str | list[object], what: Any) -> None:
         self._held.add(self._now[0], (self._now, path, what))
@@ -232,7 +238,7 @@ def record(path: str, url: str) -> rr.RecordingStream:
             raise RunError(f"visualise.save: expected a folder {folder}, got none")
         sinks.append(rr.FileSink(path))
     try:
-        recording.set_sinks(*sinks, default_blueprint=layout(1, (0, 0)))
+        recording.set_sinks(*sinks, default_blueprint=layout(Shown()))
     except RuntimeError as error:
         raise RunError(f"visualise.save: {path} cannot be written: {error}") from error
     return recording

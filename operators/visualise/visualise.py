@@ -17,6 +17,7 @@ from operators.visualise.events import Events
 from operators.visualise.figures import LoopLatency, PixelsRead, Target, latencies, stages
 from operators.visualise.pictures import encoded, jpeg, jpeg_within, same_window
 from operators.visualise.raster import PAST_FRAMES, ScanpathRaster
+from operators.visualise.shown import Shown
 from pipeline.boxes import centres
 from pipeline.contract import INCOMPLETE, Input, Operator
 from pipeline.errors import RunError, SettingsError
@@ -95,6 +96,7 @@ class Visualise(Operator[VisualiseSettings, None]):
 
     _screen: "screen.Screen | None" = None
     _tracks: Tracks | None = None  # the newest
+    _kinds: set[str]  # fields of `Shown` that were seen to hold
 
     @classmethod
     def advise(cls, settings: VisualiseSettings, upstream: Mapping[str, Any]) -> Iterable[str]:
@@ -109,7 +111,7 @@ class Visualise(Operator[VisualiseSettings, None]):
             # not in the settings themselves: a graph may hold a viewer that is not started
             raise SettingsError("visualise.save: expected save, connect or serve, got none")
         self._begin()
-        self._windows, self._has_full = {"roi"}, False
+        self._windows, self._kinds = {"roi"}, set()
         self._screen = screen.Screen(s.save, s.connect, (s.port, s.web_port) if s.serve else None)
 
     def state(self) -> None:
@@ -171,7 +173,7 @@ class Visualise(Operator[VisualiseSettings, None]):
     def on_full(self, full: Frame) -> None:
         """The whole field at full resolution, beside context and ROI."""
         if self._wanted(full, "full"):
-            self._has_full = True
+            self._kinds.add("full")
             contents, size_px = jpeg_within(full, self.settings.jpeg_quality, MOST_FULL_PX)
             self._out.picture("full", contents, full.window, size_px, 0)
 
@@ -226,6 +228,7 @@ class Visualise(Operator[VisualiseSettings, None]):
         chosen = self._target.id
         name = f"{self._names.get(chosen) or 'object'} #{chosen}" if chosen >= 0 else ""
         self._say(scanpath.header, self._events.looked_at(name))
+        self._out.aim(name)
         raster = self._raster.add(scanpath)
         if not self._wanted(scanpath, "scanpath"):
             return
@@ -270,8 +273,10 @@ class Visualise(Operator[VisualiseSettings, None]):
         if overlap is not None:
             self._out.value("figures/target/iou", overlap)
         if percept.texts:
+            self._kinds.add("reads")
             self._say(percept.header, [" | ".join(percept.texts)[:MOST_CHARS]])
         if len(percept.action):
+            self._kinds.add("acts")
             self._out.value("action", *map(float, percept.action))
 
     @property
@@ -306,7 +311,9 @@ class Visualise(Operator[VisualiseSettings, None]):
         self._windows.add(name)
         geometry = frame.header.geometry
         size_px = (geometry.width_px, geometry.height_px)
-        self._out.lay_out(len(self._windows), size_px, full=self._has_full)
+        kinds = {name: name in self._kinds for name in ("full", "acts", "reads")}
+        details = self.settings.details
+        self._out.lay_out(Shown(len(self._windows), size_px, **kinds, details=details))
         self._picture(f"sensor/{name}", frame, 10)
         rim = np.array([frame.window] if frame.pixels.size else [], np.float32)
         self._out.boxes(f"sensor/{name}_rim", rim, field.YELLOW, [frame.status], radius=screen.RIM)

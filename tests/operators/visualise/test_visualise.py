@@ -109,7 +109,7 @@ def test_the_truth_is_dashed(tmp_path):
 
 
 def test_the_view_opens_on_frames_with_its_panels_collapsed(tmp_path):
-    recorded(tmp_path, range(1))
+    recorded(tmp_path, range(2))
 
     layout = layout_of(tmp_path / "seen.rrd")
     assert layout["timeline"] == {"frame"}
@@ -117,8 +117,40 @@ def test_the_view_opens_on_frames_with_its_panels_collapsed(tmp_path):
     assert layout["views"] >= {
         "whole field, the ROI in place", "ROI, as read", "the same window in the context",
         "policy: objects by frames", "loop latency, ms", "by stage", "target", "pixels", "drops",
-        "what happened", "what is drawn",
+        "texts and events", "what is drawn", "action",
     }  # fmt: skip
+
+
+def test_what_the_consumer_does_has_a_place_only_where_it_does_it(tmp_path):
+    for kind, changed in (
+        ("plain", {"texts": (), "action": np.zeros(0, np.float32)}),
+        ("acts", {"texts": ()}),
+        ("reads", {"action": np.zeros(0, np.float32)}),
+    ):
+        answer = replace(part(0, "percept"), **changed)
+        given = [{"percept": answer}, *({"roi": part(seq, "roi")} for seq in range(2))]
+        drive(Visualise, given, {"save": str(tmp_path / f"{kind}.rrd")})
+
+    views = {kind: layout_of(tmp_path / f"{kind}.rrd")["views"] for kind in ("acts", "reads")}
+    plain = layout_of(tmp_path / "plain.rrd")["views"]
+
+    assert not {"action", "details", "texts and events"} & plain
+    assert views["acts"] - plain == {"action"}
+    assert views["reads"] - plain == {"texts and events"}
+
+
+def test_the_legend_begins_with_the_figures_of_now(tmp_path):
+    chunks = recorded(tmp_path, range(60))
+
+    texts = [text for (text,) in rows(chunks, "/legend", "TextDocument:text")]
+
+    assert len(texts) == 2  # one a second
+    assert texts[0].startswith("**Target**: none")
+    now = texts[-1].splitlines()[0]
+    assert now.startswith("**Target**: player #1, ")
+    assert "in the ROI, IoU " in now
+    assert "of the pixels. **Loop**: " in now
+    assert "**Bright yellow**" in texts[-1]
 
 
 def test_what_is_read_lies_beside_full_resolution_where_that_is_known(tmp_path):
