@@ -3,13 +3,18 @@
 import json
 import re
 import secrets
+import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from http.client import SERVICE_UNAVAILABLE
 from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError, URLError
+from urllib.parse import urlencode
 from urllib.request import urlopen
 
 import psutil
@@ -94,6 +99,58 @@ def test_a_scrape_has_what_the_graph_did_and_the_server_outlives_it(graph: str, 
     finally:
         server.send_signal(signal.SIGINT)
         server.communicate(timeout=30)
+
+
+@pytest.mark.skipif(not shutil.which("prometheus"), reason="needs prometheus")
+def test_prometheus_scrapes_a_run_and_answers_what_the_dashboard_asks(
+    graph: str, port: int, tmp_path: Path
+) -> None:
+    own_port = port + 1 if port < 65535 else port - 1
+    config = tmp_path / "prometheus.yml"
+    jobs = f"[{{job_name: fovea, static_configs: [{{targets: ['127.0.0.1:{port}']}}]}}]"
+    config.write_text(f"global: {{scrape_interval: 1s}}\nscrape_configs: {jobs}\n")
+    server = serving(graph, port)
+    prometheus = subprocess.Popen(
+        ["prometheus", f"--config.file={config}", f"--storage.tsdb.path={tmp_path / 'data'}",
+         f"--web.listen-address=127.0.0.1:{own_port}"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        handled = f'rate(fovea_node_messages_handled_total{{graph="{graph}",node="count"}}[10s])'
+        rates = answered(own_port, handled)
+        others = [answered(own_port, query) for query in queries(graph)]
+
+        assert float(rates[0]["value"][1]) > 0
+        assert sum(bool(found) for found in others) >= len(others) // 2  # the rest never happened
+    finally:
+        for process in (prometheus, server):
+            process.send_signal(signal.SIGINT)
+        server.communicate(timeout=30)
+        prometheus.wait(timeout=30)
+
+
+def queries(graph: str) -> list[str]:
+    """Return what the dashboard asks, of one graph."""
+    panels = dashboard()["panels"]
+    asked = [target["expr"] for panel in panels for target in panel.get("targets", ())]
+    return [re.sub(r"\$graph", graph, one).replace("$__rate_interval", "10s") for one in asked]
+
+
+def answered(port: int, query: str) -> list[Any]:
+    """Ask Prometheus until it has an answer, or for some seconds; raises for a wrong query."""
+    end_s, found = time.monotonic() + 8.0, list[Any]()
+    while not found and time.monotonic() < end_s:
+        time.sleep(0.2)
+        address = f"http://127.0.0.1:{port}/api/v1/query?{urlencode({'query': query})}"
+        try:
+            with urlopen(address, timeout=10) as answer:
+                found = json.load(answer)["data"]["result"]
+        except HTTPError as error:
+            if error.code != SERVICE_UNAVAILABLE:
+                raise
+        except URLError:
+            continue  # it starts
+    return found
 
 
 def test_a_port_that_is_taken_is_one_sentence(graph: str, port: int) -> None:
