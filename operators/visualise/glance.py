@@ -1,4 +1,4 @@
-"""The figures of the loop in a few sentences, for whoever looks for the first time."""
+"""The figures of the loop in a few sentences, for a first look."""
 
 from collections.abc import Sequence
 
