@@ -14,7 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import WeightsError
-from pipeline.providers import AUTO, CACHED, CPU, PROVIDERS, missing, options_of, order
+from pipeline.providers import (
+    AUTO,
+    CACHED,
+    CPU,
+    PROVIDERS,
+    WITHOUT_EIGHT_BITS,
+    missing,
+    options_of,
+    order,
+    unfit,
+)
 from pipeline.text import harmless
 from pipeline.weights import default_folder, pull_hint
 
@@ -95,6 +105,9 @@ def _loaded(
     if sentence := missing(asked, here):
         log.warning("%s; %s runs on the CPU", sentence, path.name)
     for name in order(asked, here):
+        if why := unfit(name, path.read_bytes()) if name in WITHOUT_EIGHT_BITS else "":
+            log.warning("provider: %s: %s", path.name, why)
+            continue
         try:
             session = _session(
                 path, threads, name, options_of(name, threads, device, _cache_of(path, name))

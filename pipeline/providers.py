@@ -22,6 +22,8 @@ NAMES = (AUTO, *sorted(PROVIDERS))
 # on a CPU OpenVINO is slower than ONNX Runtime's own (`python -m bench.providers`), and says
 # nothing of what else it may run on before it has compiled: it is taken where it is asked for
 NOT_AUTOMATIC = {"openvino"}
+# whose outputs of a network of eight bits are others than the CPU's (`python -m bench.providers`)
+WITHOUT_EIGHT_BITS = {"openvino"}
 CACHED = {"tensorrt", "openvino"}  # those whose compiled network is kept between starts
 
 
@@ -75,6 +77,19 @@ def missing(asked: str, available: Sequence[str]) -> str:
         return ""
     package = PROVIDERS[asked][1]
     return f"provider: {asked} is not in this installation, {package} brings it"
+
+
+def unfit(name: str, network: bytes) -> str:
+    """Return a sentence where a provider must not compute an ONNX network, else an empty one.
+
+    >>> unfit("openvino", b"... DequantizeLinear ...")
+    'openvino computes networks of eight bits wrongly, use the file of single precision'
+    >>> unfit("openvino", b""), unfit("cuda", b"DequantizeLinear")
+    ('', '')
+    """
+    if name in WITHOUT_EIGHT_BITS and b"DequantizeLinear" in network:
+        return f"{name} computes networks of eight bits wrongly, use the file of single precision"
+    return ""
 
 
 def options_of(name: str, threads: int, device: str, cache: Path | None) -> dict[str, str]:

@@ -8,6 +8,7 @@ import pytest
 
 from operators.policy.network import SHIPPED
 from operators.saliency import SaliencySettings
+from operators.saliency.detector import EIGHT_BITS
 from pipeline import SettingsError
 from pipeline.inference import Network, available
 from pipeline.providers import NAMES, PROVIDERS, NetworkSettings, missing, options_of, order
@@ -71,6 +72,21 @@ def test_a_provider_that_does_not_start_is_warned_of_and_the_next_is_taken(
     assert network.provider == "cpu"
     assert len(caplog.messages) == 1
     assert "provider: cuda" in caplog.messages[0]
+
+
+def test_a_network_of_eight_bits_is_kept_from_a_provider_that_errs(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    import onnxruntime
+
+    both = [PROVIDERS["openvino"][0], *CPU_ALONE]
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: both)
+    with caplog.at_level(logging.WARNING):
+        network = Network(EIGHT_BITS, provider="openvino")
+
+    assert network.provider == "cpu"
+    (sentence,) = caplog.messages
+    assert sentence.startswith("provider: detector_int8.onnx: openvino computes networks of eight")
 
 
 def test_compiled_networks_are_kept_only_where_a_folder_is_given(tmp_path: Path):
