@@ -7,7 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import Chunk, RrdReader
 
-from operators.visualise.layout import collapsed_panels, pair, plot
+from operators.visualise.layout import collapsed_panels, log, pair, plot
 from pipeline.errors import RunError
 
 MOST_COLUMNS = 4
@@ -51,7 +51,7 @@ def _column(top: str, name: str) -> rrb.Vertical:
             plot("target", f"{top}/figures/target", (0.0, 1.05)),
             plot("pixels", f"{top}/figures/pixels"),
             plot("action", f"{top}/action"),
-            rrb.TextLogView(origin=f"{top}/log", name="what happened"),
+            log(f"{top}/log", "what happened"),
         ),
         pair(f"{top}/sensor/roi", f"{top}/window/roi", "roi"),
         row_shares=[4, 2, 5],

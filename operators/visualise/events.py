@@ -9,6 +9,7 @@ from pipeline.messages import Frame, Header, Percept
 
 SETTLED = 5  # frames that a new state lasts before it is told
 GATHERED = 30  # frames over which missing ones are told in one line
+MOST_CHARS = 200  # of a line
 MOST_LINES = 20  # within GATHERED frames; further ones are counted
 
 
@@ -42,6 +43,7 @@ class Events:
         self.missing: dict[str, int] = {}  # stage -> frames that never arrived
         self._told: dict[str, int] = {}  # of `missing`
         self._target, self._answered, self._status = Changes(), Changes(), Changes()
+        self._texts: frozenset[str] = frozenset()  # of the newest answer
         self._block, self._lines, self._kept_back = -1, 0, 0
 
     def arrived(self, header: Header) -> Iterator[str]:
@@ -75,6 +77,13 @@ class Events:
         before = self._answered.value
         if self._answered.settled(has) and not (before is None and not has):
             yield "the consumer has its object" if has else "the consumer lost its object"
+
+    def transcribed(self, texts: tuple[str, ...]) -> Iterator[str]:
+        """Yield the texts that the answer before did not have."""
+        fresh = [text for text in dict.fromkeys(texts) if text and text not in self._texts]
+        self._texts = frozenset(texts)
+        if fresh:
+            yield f"read: {' | '.join(fresh)}"[:MOST_CHARS]
 
     def read(self, roi: Frame) -> Iterator[str]:
         """Yield when windows are no longer planned, come too late, or are in time again."""

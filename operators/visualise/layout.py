@@ -42,9 +42,7 @@ def layout(shown: Shown) -> rrb.Blueprint:
         rrb.Tabs(*figures),
         rrb.Tabs(
             rrb.TextDocumentView(origin="legend", name="what is drawn"),
-            rrb.TextLogView(
-                origin="log", name="texts and events" if shown.reads else "what happened"
-            ),
+            log("log", "texts and events" if shown.reads else "what happened"),
             active_tab=1 if shown.reads else 0,
         ),
         column_shares=[3, 3, 3, 3],
@@ -96,6 +94,12 @@ def pair(roi: str, window: str, name: str) -> rrb.Vertical:
         rrb.Spatial2DView(origin=window, name="the same window in the context"),
         name=title,
     )
+
+
+def log(origin: str, name: str) -> rrb.TextLogView:
+    """Lines of text with their frames; path and level, the same in all, would take half of it."""
+    columns = rrb.archetypes.TextLogColumns(timeline_columns=["frame"], text_log_columns=["Body"])
+    return rrb.TextLogView(origin=origin, name=name, columns=columns)
 
 
 def plot(name: str, origin: str, ends: tuple[float, float] | None = None) -> rrb.TimeSeriesView:

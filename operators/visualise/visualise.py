@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.visualise import field
-from operators.visualise.events import Events
+from operators.visualise.events import MOST_CHARS, Events
 from operators.visualise.figures import LoopLatency, PixelsRead, Target, latencies, stages
 from operators.visualise.pictures import encoded, jpeg, jpeg_within, same_window
 from operators.visualise.raster import PAST_FRAMES, ScanpathRaster
@@ -45,7 +45,6 @@ MOST_NAMES = 500  # of objects seen, for the raster
 MOST_WINDOW_PX = 640  # width of what the context shows of an ROI
 MOST_FULL_PX = 4096  # width of a full picture; larger ones are averaged
 MOST_NOTES = 50  # of one call of `note`
-MOST_CHARS = 200  # of a note
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,7 +273,7 @@ class Visualise(Operator[VisualiseSettings, None]):
             self._out.value("figures/target/iou", overlap)
         if percept.texts:
             self._kinds.add("reads")
-            self._say(percept.header, [" | ".join(percept.texts)[:MOST_CHARS]])
+            self._say(percept.header, self._events.transcribed(percept.texts))
         if len(percept.action):
             self._kinds.add("acts")
             self._out.value("action", *map(float, percept.action))

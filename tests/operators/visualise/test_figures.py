@@ -155,6 +155,15 @@ def test_a_loss_is_told_once_it_lasts():
     ]
 
 
+def test_a_text_is_told_when_it_is_read_not_in_every_answer() -> None:
+    events = Events()
+
+    told = [list(events.transcribed(texts)) for texts in
+            (("EXIT",), ("EXIT",), ("EXIT", "BAR"), (), ("BAR",))]  # fmt: skip
+
+    assert told == [["read: EXIT"], [], ["read: BAR"], [], ["read: BAR"]]
+
+
 def test_the_lines_of_the_log_are_limited_and_what_is_left_out_is_counted():
     events = Events()
 
