@@ -9,9 +9,10 @@ import pytest
 
 h5py = pytest.importorskip("h5py", reason="needs the robot extra")
 
-from drivers.datasets import AlohaEpisode  # noqa: E402
+from drivers.datasets import AlohaEpisode, VideoFile  # noqa: E402
 from drivers.datasets.aloha import write_episode  # noqa: E402
 from pipeline.errors import DriverError  # noqa: E402
+from tests.shared_data import Footage  # noqa: E402
 
 FRAMES = 5
 
@@ -99,3 +100,26 @@ def test_a_part_that_is_missing_is_named(tmp_path: Path, name: str) -> None:
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DriverError, match="no such file"):
         AlohaEpisode(path=str(tmp_path / "none.hdf5"))
+
+
+@pytest.mark.footage
+@pytest.mark.parametrize(("kind", "steps"), [("scripted", 400), ("human", 500)])
+def test_a_real_episode_is_read_as_it_was_recorded(
+    footage: Footage, tmp_path: Path, kind: str, steps: int
+) -> None:
+    folder = footage.data("aloha")
+    with np.load(folder / f"{kind}_episode0.npz") as real:
+        qpos, action = (np.asarray(real[name], np.float32) for name in ("qpos", "action"))
+    video = VideoFile(path=str(folder / f"{kind}_top.mp4"))
+    first = video.picture(0).copy()
+    shown = np.broadcast_to(first, (steps, *first.shape))  # the same bytes: they compress well
+    path = episode(tmp_path, pictures={"top": shown}, qpos=qpos, qvel=qpos * 0, action=action)
+
+    read = AlohaEpisode(path=str(path))
+
+    assert (read.size_px, read.rate_hz, read.length) == ((640, 480), video.rate_hz, steps)
+    np.testing.assert_array_equal(read.picture(steps - 1), first)
+    np.testing.assert_array_equal(read.qpos, qpos)
+    np.testing.assert_array_equal(read.action, action)
+    read.close()
+    video.close()
