@@ -5,8 +5,10 @@ when it is complete. It is removed when that fails.
 """
 
 import contextlib
+import errno
 import os
 import secrets
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
@@ -20,8 +22,11 @@ def whole_file(path: Path, *, secret: bool = False, durable: bool = False) -> It
     """Yield a file that becomes `path` when the block ends without an exception.
 
     A link at `path` is replaced, not followed. The mode follows the umask, or is 0600 with
-    `secret`; with `durable` the file survives a power failure. Raises `OSError`.
+    `secret`; with `durable` the file survives a power failure. Raises `OSError`, also for a device
+    or a pipe, and a link to one such as `/dev/stdout`, which a file would replace for everybody.
     """
+    if _is_special(path):
+        raise OSError(errno.EINVAL, "expected a regular file, got a device or a pipe", str(path))
     with _folder(path) as folder, _temporary(folder, 0o600 if secret else 0o666) as (name, handle):
         with os.fdopen(handle, "w+b") as file:
             yield file
@@ -43,6 +48,17 @@ def try_beside(path: Path) -> None:
     """Raise `OSError` unless a file can be created in the folder of `path`; change nothing."""
     with _folder(path) as folder, _temporary(folder, 0o600) as (_, handle):
         os.close(handle)
+
+
+def _is_special(path: Path) -> bool:
+    """Whether there is, or a link leads to, something that is neither a file nor a folder."""
+    try:
+        kind = path.stat().st_mode
+        # what a process has open may be a file, too; its name in /dev is not that file's
+        opened = path.is_symlink() and os.readlink(path).startswith("/proc/")
+    except OSError:  # nothing, or a link to nothing
+        return False
+    return opened or not (stat.S_ISREG(kind) or stat.S_ISDIR(kind))
 
 
 @contextlib.contextmanager

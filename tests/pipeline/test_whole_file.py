@@ -190,3 +190,21 @@ def test_an_agent_that_cannot_write_raises(tmp_path: Path) -> None:
 
     with pytest.raises(RunError, match=r"g\.starts: cannot be written: No such file"):
         store.count("g")
+
+
+@pytest.mark.parametrize("kind", ["pipe", "link to a pipe", "link to what a process has open"])
+def test_a_device_or_a_pipe_is_refused_and_stays(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "out"
+    if kind == "link to what a process has open":
+        path.symlink_to("/proc/self/fd/1")
+    elif kind == "link to a pipe":
+        os.mkfifo(tmp_path / "pipe")
+        path.symlink_to(tmp_path / "pipe")
+    else:
+        os.mkfifo(path)
+    before = path.lstat()
+
+    with pytest.raises(OSError, match="expected a regular file, got a device or a pipe"):
+        write_whole(path, "data")
+
+    assert (path.lstat().st_ino, path.lstat().st_mode) == (before.st_ino, before.st_mode)
