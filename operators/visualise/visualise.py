@@ -44,6 +44,7 @@ CELL = (4, 15)  # of the raster, width and height
 MOST_NAMES = 500  # of objects seen, for the raster
 MOST_WINDOW_PX = 640  # width of what the context shows of an ROI
 MOST_FULL_PX = 4096  # width of a full picture; larger ones are averaged
+MOST_ACTIONS = 8  # values of an action; a robot is told a hundred steps of each joint at once
 MOST_NOTES = 50  # of one call of `note`
 
 
@@ -276,7 +277,7 @@ class Visualise(Operator[VisualiseSettings, None]):
             self._say(percept.header, self._events.transcribed(percept.texts))
         if len(percept.action):
             self._kinds.add("acts")
-            self._out.value("action", *map(float, percept.action))
+            self._out.value("action", *map(float, percept.action[:MOST_ACTIONS]))
 
     @property
     def _out(self) -> "screen.Screen":

@@ -139,6 +139,15 @@ def test_what_the_consumer_does_has_a_place_only_where_it_does_it(tmp_path):
     assert views["reads"] - plain == {"texts and events"}
 
 
+def test_of_a_long_action_the_first_values_are_plotted(tmp_path):
+    answer = replace(part(0, "percept"), action=np.arange(1400, dtype=np.float32))
+    drive(Visualise, [{"percept": answer}], {"save": str(tmp_path / "seen.rrd")})
+
+    chunks = list(RrdReader(tmp_path / "seen.rrd").stream())
+
+    assert rows(chunks, "/action", "Scalars:scalars") == [[0, 1, 2, 3, 4, 5, 6, 7]]
+
+
 def test_the_legend_begins_with_the_figures_of_now(tmp_path):
     chunks = recorded(tmp_path, range(60))
 
