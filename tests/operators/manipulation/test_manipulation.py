@@ -10,6 +10,7 @@ onnx = pytest.importorskip("onnx", reason="needs the train extra")
 
 from drivers.robot import Joints  # noqa: E402
 from operators.manipulation import ActionChunking, ActionChunkingSettings  # noqa: E402
+from operators.manipulation.manipulation import SHIPPED  # noqa: E402
 from operators.manipulation.network import ActNetwork  # noqa: E402
 from pipeline import Frame, Geometry, Header, MessageError, SettingsError, WeightsError  # noqa: E402
 
@@ -156,3 +157,13 @@ def test_other_joints_and_pixels_are_refused(tmp_path: Path) -> None:
 def test_settings_out_of_range_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(SettingsError, match=next(iter(wrong))):
         ActionChunkingSettings(**wrong)
+
+
+def test_the_network_of_one_run_takes_the_place_of_the_shipped_one() -> None:
+    shipped, one_run = (ActNetwork(SHIPPED.with_name(f"{n}.onnx")) for n in ("act", "act_one_run"))
+    width_px, height_px = shipped.picture_px
+
+    told = one_run(np.zeros((height_px, width_px, 3), np.uint8), np.zeros(14, np.float32))
+
+    assert (one_run.picture_px, one_run.workplace) == (shipped.picture_px, shipped.workplace)
+    assert told.shape == (100, 14)
