@@ -1,9 +1,8 @@
 """`fovea view`: watch a running graph in a browser."""
 
+import os
 import socket
-import subprocess
 from contextlib import suppress
-from subprocess import DEVNULL
 from urllib.parse import quote
 
 import click
@@ -48,9 +47,13 @@ def view(
 
 
 def _launch(address: str) -> None:
-    """Open a browser where there is one: the address is printed in any case."""
-    with suppress(OSError):  # no xdg-open; of its own complaints nothing is shown either
-        subprocess.Popen(["xdg-open", address], stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL)
+    """Open a browser where there is one: the address is printed in any case.
+
+    What opens it may run on: nothing waits for it, and its own complaints are not shown.
+    """
+    silent = [(os.POSIX_SPAWN_OPEN, fd, os.devnull, os.O_RDWR, 0) for fd in range(3)]
+    with suppress(OSError):  # no xdg-open
+        os.posix_spawnp("xdg-open", ["xdg-open", address], os.environ, file_actions=silent)
 
 
 def _free(name: str, taken: tuple[int, ...]) -> int:
