@@ -157,13 +157,3 @@ def test_other_joints_and_pixels_are_refused(tmp_path: Path) -> None:
 def test_settings_out_of_range_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(SettingsError, match=next(iter(wrong))):
         ActionChunkingSettings(**wrong)
-
-
-def test_the_network_of_one_run_takes_the_place_of_the_shipped_one() -> None:
-    shipped, one_run = (ActNetwork(SHIPPED.with_name(f"{n}.onnx")) for n in ("act", "act_one_run"))
-    width_px, height_px = shipped.picture_px
-
-    told = one_run(np.zeros((height_px, width_px, 3), np.uint8), np.zeros(14, np.float32))
-
-    assert (one_run.picture_px, one_run.workplace) == (shipped.picture_px, shipped.workplace)
-    assert told.shape == (100, 14)
