@@ -174,8 +174,7 @@ def greedy(
     probability = np.zeros((s.horizon, len(tracks.ids)), np.float32)
     for step in range(s.horizon):
         age = np.clip(seq + 1 + step - shown_seq, 0, MOST_AGE)
-        doubt = 1 + s.doubt * np.clip(1 - looks / s.looks, 0, 1)
-        gain = age * np.where(useless, 1, doubt) * fit
+        gain = worth(age, looks, useless, s) * fit
         row = seq + 1 + step - state.first_seq
         if step < s.delay and 0 <= row < len(state.windows):
             window = state.windows[row]
@@ -189,6 +188,20 @@ def greedy(
     choice = np.full(s.horizon, PLACE, np.int32)
     state = replace(state, aimed_seq=aimed_seq, windows=boxes[1 : s.delay + 1], first_seq=seq + 2)
     return GazePlan(choice=choice, boxes=boxes, probability=probability), state
+
+
+def worth(
+    age: NDArray[np.int64],
+    looks: NDArray[np.int64],
+    useless: NDArray[np.bool_],
+    s: GreedyPolicySettings,
+) -> NDArray[np.float64]:
+    """Return what a look at each object is worth (n,): frames since the last one, by the doubt.
+
+    `looks` are those since the doubt began; where a look is `useless`, no doubt counts.
+    """
+    doubt = 1 + s.doubt * np.clip(1 - looks / s.looks, 0, 1)
+    return np.asarray(age * np.where(useless, 1, doubt), np.float64)
 
 
 def best_window(

@@ -10,7 +10,6 @@ onnx = pytest.importorskip("onnx", reason="needs the train extra")
 
 from drivers.robot import Joints  # noqa: E402
 from operators.manipulation import ActionChunking, ActionChunkingSettings  # noqa: E402
-from operators.manipulation.manipulation import SHIPPED  # noqa: E402
 from operators.manipulation.network import ActNetwork  # noqa: E402
 from pipeline import Frame, Geometry, Header, MessageError, SettingsError, WeightsError  # noqa: E402
 
