@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from fractions import Fraction
 from hashlib import sha256
-from math import isnan
+from math import ceil, isnan
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -26,7 +26,7 @@ from bench.options import Bench
 from bench.outputs import STANDARD_OUTPUT, make_room
 from bench.reading.clips import ROAD, clips_of
 from bench.reading.plot import plot
-from bench.reading.rows import FOVEATED, FULL, INPUTS, PARTS, Row, rows_of
+from bench.reading.rows import EXPOSURE, FOVEATED, FULL, INPUTS, PARTS, Row, rows_of
 from bench.reading.trial import Job, Outcome, plan_of, size_of, trial
 from bench.tracking.budgets import parsed
 from bench.tracking.intervals import METHOD, Block, difference, mean
@@ -111,6 +111,7 @@ def evaluate(
         strategies.split(","), parsed(budgets), size_px, policy=policy, replaced=replaced,
         without=without,
     )  # fmt: skip
+    refuse_too_short(asked, frames)
     work = work or (report or Path("text")).with_suffix(".work")
     make_room(work, report=report, markdown=markdown, plot=picture)
     outcomes = measured(
@@ -145,6 +146,16 @@ def evaluate(
     if markdown:
         write_whole(markdown, markdown_of(found["rows"]))
     Console().print(table_of(found["rows"]))
+
+
+def refuse_too_short(rows: Sequence[Row], frames: int) -> None:
+    """Raise `SettingsError` for a long exposure that is not over when the clip is."""
+    for row in rows:
+        if row.strategy == EXPOSURE and frames * row.budget < 1:
+            raise SettingsError(
+                f"frames: {EXPOSURE} at {row.budget} needs at least {ceil(1 / row.budget)}, "
+                f"got {frames}"
+            )
 
 
 Outcomes = dict[Row, list[Outcome]]

@@ -11,6 +11,7 @@ from pipeline.errors import SettingsError
 
 FULL = "full"
 FOVEATED = "foveated"
+EXPOSURE = "exposure"
 LEARNED = "operators.policy:ReadingPolicy"
 POLICIES = {  # rows in which a policy aims the ROI; empty: the graph's own
     FOVEATED: "",
@@ -24,7 +25,7 @@ PARTS = {  # what --replace takes: the node and what knows the truth in its plac
 INPUTS = ("features", "percept", "roi")  # what --without takes, of the policy
 ALL = (
     *("full", "oracle", "foveated", "greedy", "context", "centred", "round_robin"),
-    *("spatial", "temporal", "exposure"),
+    *("spatial", "temporal", EXPOSURE),
 )
 
 

@@ -276,6 +276,10 @@ def test_the_table_has_the_papers_figures_beside_ours() -> None:
         (["--report", "/dev/null"], "report: expected a file that can be written, got /dev/null"),
         (["--markdown", "/"], "markdown: expected a file that can be written, got /"),
         (["--graph", "graphs/tracking.yaml"], "node reader, got none"),
+        (
+            ["--strategies", "exposure", "--budgets", "1/64", "--frames", "40"],
+            "frames: exposure at 1/64 needs at least 64, got 40",
+        ),
     ],
 )
 def test_wrong_options_are_refused_in_a_sentence(
