@@ -19,6 +19,8 @@ SHARES = {  # budget -> context's side, ROI's area
     Fraction(1, 8): (0.24, 0.125),
     Fraction(1, 16): (0.17, 0.0625),
     Fraction(1, 32): (0.12, 0.03125),
+    Fraction(1, 64): (0.085, 0.015625),
+    Fraction(1, 128): (0.06, 0.0078125),
 }
 CONTEXT = "context"  # what a row with a ROI has beside it, alone: less than the budget
 

@@ -49,6 +49,10 @@ PLACES = {
         section="Tracking under a pixel budget", order=33,
         title="What a window gains the tracker, by the target's distance from its middle",
     ),
+    "identity_gain": Place(
+        section="Tracking under a pixel budget", order=35,
+        title="What a look at somebody gains the identities, by its kind",
+    ),
     "rois": Place(
         section="Tracking under a pixel budget", order=30,
         title="One large ROI against two and four small ones at equal pixels",
