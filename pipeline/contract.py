@@ -135,6 +135,13 @@ class Operator(Generic[S, Out]):
         """
         return ""
 
+    def runs_on(self) -> str:
+        """Return the providers that compute its networks, such as `cpu`; empty without a network.
+
+        Called every second after `open`, as `headline`; `fovea top` and the report show it.
+        """
+        return ""
+
     @classmethod
     def advise(cls, settings: S, upstream: Mapping[str, Any]) -> Iterable[str]:
         """Return sentences for `fovea check` and `fovea run`: effects of these settings, warnings.

@@ -325,3 +325,22 @@ class Model(Operator[ModelSettings, None]):
 
     def on_frame(self, frame: Frame) -> None:
         pass
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComputedSettings:
+    """What an operator says that its networks run on."""
+
+    on: str = "tensorrt, cpu"
+
+
+class Computed(Operator[ComputedSettings, None]):
+    """Has a network, as it says."""
+
+    frame = Input(Frame, keep="latest")
+
+    def on_frame(self, frame: Frame) -> None:
+        pass
+
+    def runs_on(self) -> str:
+        return self.settings.on

@@ -89,6 +89,10 @@ class ActingPolicy(Operator[ActingPolicySettings, Scanpath]):
         """What the network runs on, unless it is the CPU."""
         return self._network.headline() if self._network else ""
 
+    def runs_on(self) -> str:
+        """The provider of the network."""
+        return self._network.provider if self._network else ""
+
     def on_tracks_context_roi_joints(
         self, tracks: Tracks, context: Frame, roi: Frame, joints: Joints
     ) -> Scanpath:

@@ -39,7 +39,7 @@ class ActingNetwork:
                 f"joints (1, j) and an output gains (1, n), got {net.inputs} and {net.outputs}"
             )
         self.channels, self.joints = int(appearance[2]), int(joints[1])
-        self.where, self.headline = net.where, net.headline
+        self.where, self.headline, self.provider = net.where, net.headline, net.provider
 
     def __call__(self, facts: Array, appearance: Array, joints: Array) -> Array:
         """Return the gain (n,) of each window; raises `MessageError` for other sizes."""

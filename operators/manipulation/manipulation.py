@@ -121,6 +121,10 @@ class ActionChunking(Operator[ActionChunkingSettings, Percept]):
         """What the network runs on, unless it is the CPU."""
         return self._network.headline()
 
+    def runs_on(self) -> str:
+        """The provider of the network."""
+        return self._network.provider
+
 
 def network_of(settings: ActionChunkingSettings) -> ActNetwork:
     """The network that the settings name; raises `WeightsError`."""

@@ -41,7 +41,7 @@ class ActNetwork:
         self.picture_px = int(picture[2]), int(picture[1])
         self.workplace = _region(path, net.metadata.get("workplace", WHOLE))
         self._joints = int(joints[1])
-        self.where, self.headline = net.where, net.headline
+        self.where, self.headline, self.provider = net.where, net.headline, net.provider
 
     def __call__(
         self, picture: NDArray[np.uint8], joints: NDArray[np.float32]

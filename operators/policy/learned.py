@@ -138,6 +138,10 @@ class LearnedPolicy(PolicyInputs[LearnedPolicySettings]):
         """What the network runs on, where it is not the CPU."""
         return self._network.network.headline()
 
+    def runs_on(self) -> str:
+        """The provider of the network."""
+        return self._network.network.provider
+
     def state(self) -> PolicyState:
         """Return the state."""
         return self._state

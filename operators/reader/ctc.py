@@ -66,6 +66,10 @@ class OnnxReader(TextReader[OnnxReaderSettings]):
         super().open()
         self._recogniser = recogniser_of(self.settings)
 
+    def runs_on(self) -> str:
+        """The provider of the network."""
+        return self._recogniser.provider
+
     def read(self, frame: Frame) -> list[Reading]:
         """Read each track that the picture shows nearly whole, the surest first."""
         if self._tracks is None or not len(self._tracks.ids):
@@ -89,7 +93,7 @@ class Recogniser:
     """Reads one line of text: a picture (h, w, 3) RGB -> its text and how sure that is."""
 
     def __init__(self, network: Network, letters: str = "") -> None:
-        self._network = network
+        self._network, self.provider = network, network.provider
         self._name = next(iter(network.inputs))
         shape = network.inputs[self._name]
         if len(shape) != 4 or len(network.inputs) != 1:

@@ -89,6 +89,10 @@ class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
         """What the network runs on, where it is not the CPU."""
         return self._encoder.network.headline()
 
+    def runs_on(self) -> str:
+        """The provider of the network."""
+        return self._encoder.network.provider
+
     def state(self) -> None:
         """Return None: only scratch memory changes."""
 

@@ -87,6 +87,10 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         """What the network runs on, where it is not the CPU."""
         return self._detector.network.headline()
 
+    def runs_on(self) -> str:
+        """The provider of the network."""
+        return self._detector.network.provider
+
     def state(self) -> None:
         """Nothing must survive: a successor looks at all tiles within a few frames."""
 

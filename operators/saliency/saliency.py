@@ -101,6 +101,10 @@ class Saliency(Operator[SaliencySettings, Detections]):
         """What the network runs on, where it is not the CPU."""
         return self._detector.network.headline()
 
+    def runs_on(self) -> str:
+        """The provider of the network."""
+        return self._detector.network.provider
+
     def state(self) -> None:
         """Nothing must survive: what changes is room for a picture."""
 

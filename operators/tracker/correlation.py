@@ -49,7 +49,7 @@ class CorrelationTracker(Tracker[CorrelationSettings]):
 class Correlation:
     """Follows one object by its appearance."""
 
-    patience_score = 0.35
+    patience_score, provider = 0.35, ""
 
     def __init__(self) -> None:
         ramp = np.hanning(SEARCH_PX - TEMPLATE_PX + 3)[1:-1].astype(np.float32)

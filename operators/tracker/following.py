@@ -29,6 +29,7 @@ class Method(Protocol):
     """A method to find one object in every frame."""
 
     patience_score: float  # a lower score means that the object is not found
+    provider: str  # of its network; empty: it has none
 
     def start(self, streams: Streams, box: Box) -> None:
         """Initialise with the object in this box."""

@@ -73,6 +73,7 @@ class MixFormer:
         renew_every: int = RENEW_EVERY,
     ) -> None:  # fmt: skip
         self._network = Network(weights, threads=threads, provider=provider, device=device)
+        self.provider = self._network.provider
         got = self._network.inputs, self._network.outputs
         if set(got[0]) != set(INPUTS) or set(got[1]) != set(OUTPUTS):
             raise WeightsError(

@@ -76,6 +76,7 @@ class Template:
         self, weights: Path = SHIPPED, *, threads: int = 1, provider: str = AUTO, device: str = ""
     ) -> None:
         self._network = Network(weights, threads=threads, provider=provider, device=device)
+        self.provider = self._network.provider
         for what, wanted, got in (
             ("inputs", INPUTS, self._network.inputs),
             ("outputs", OUTPUTS, self._network.outputs),

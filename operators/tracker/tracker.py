@@ -80,7 +80,7 @@ class Tracker(Operator[S, Percept]):
     def open(self) -> None:
         """Load what the method needs; raises `WeightsError`."""
         method = self.method()
-        self._usual_score = method.patience_score
+        self._usual_score, self._provider = method.patience_score, method.provider
         self._following = Following(method, self._rules())
         self._scratch: dict[int, Picture] = {}
         self._frames = self._answered = 0
@@ -162,6 +162,10 @@ class Tracker(Operator[S, Percept]):
     def headline(self) -> str:
         """Whether it has lost what it followed."""
         return "tracker: lost" if self._answered and not len(self._following.box) else ""
+
+    def runs_on(self) -> str:
+        """The provider of the method's network; empty where it has none."""
+        return self._provider
 
     def summary(self) -> Mapping[str, Any]:
         """In how many frames it answered with a box, and how often it let go of one, and why."""

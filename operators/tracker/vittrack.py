@@ -61,6 +61,7 @@ class VitTrack:
         self, weights: Path, *, threads: int = 1, provider: str = AUTO, device: str = ""
     ) -> None:
         self._network = Network(weights, threads=threads, provider=provider, device=device)
+        self.provider = self._network.provider
         for name, side in (("template", TEMPLATE_PX), ("search", SEARCH_PX)):
             if self._network.inputs.get(name) != [1, 3, side, side]:
                 raise WeightsError(

@@ -19,6 +19,7 @@ import numpy as np
 from pipeline.bus.histogram import BUCKETS, Histogram
 from pipeline.errors import RunError
 from pipeline.private_folder import PrivateFolder
+from pipeline.text import harmless
 
 FILE = "ledger"  # in the memory folder of the run
 PAGE_BYTES = 4096
@@ -39,6 +40,7 @@ ROOM_EDGES, ROOM_NODES = 64, 8  # spare pages for what joins a running graph, vi
 _LAYOUT = struct.Struct("<QQ")  # the file ends with its numbers of edges and nodes
 
 STATES = ("absent", "starting", "waiting", "busy", "credit", "finished", "stopped")
+PROVIDER_BYTES = 64  # of the names of a node's providers, with a zero at the end
 _STATE_NUMBERS = {name: number for number, name in enumerate(STATES)}
 
 
@@ -136,15 +138,17 @@ class NodeAccount(ctypes.Structure):
     handled: int
     last_seq: int
     absent_until_ns: int  # until when a source waits for a lost device, or when it last did
+    _provider: bytes
 
     histograms: dict[str, Histogram]
 
     _fields_ = [
-        (name, ctypes.c_uint64)
-        for name in (
-            "epoch", "state", "heartbeat_ns", "busy_since_ns", "handled", "last_seq",
-            "absent_until_ns",
-        )
+        *((name, ctypes.c_uint64)
+          for name in (
+              "epoch", "state", "heartbeat_ns", "busy_since_ns", "handled", "last_seq",
+              "absent_until_ns",
+          )),
+        ("_provider", ctypes.c_char * PROVIDER_BYTES),
     ]  # fmt: skip
 
     @staticmethod
@@ -167,6 +171,20 @@ class NodeAccount(ctypes.Structure):
     def condition(self) -> str:
         """The name of the state."""
         return STATES[min(self.state, len(STATES) - 1)]
+
+    @property
+    def provider(self) -> str:
+        """What computes the node's networks, as its operator names it; empty without one.
+
+        A reader may come while it is written: it then gets a mixture, and the names a second later.
+        """
+        return harmless(self._provider.decode("ascii", "replace"), PROVIDER_BYTES)
+
+    @provider.setter
+    def provider(self, names: str) -> None:
+        written = names.encode("ascii", "replace")[: PROVIDER_BYTES - 1]
+        if written != self._provider:
+            self._provider = written
 
     def enter(self, state: str) -> None:
         """Record a change of state."""

@@ -74,9 +74,9 @@ def top_tables(before: Status, now: Status, seconds: float) -> Group:
         spare=("delivered", "offered", *where, "rest", "age ms", "Hz"),
     )  # fmt: skip
     nodes = lean_table(
-        "nodes, p50/p99", names=("node", *where), words=("state",),
+        "nodes, p50/p99", names=("node", *where), words=("state", "on"),
         figures=("epoch", "handled", "last seq", "handler ms", "hop ms"),
-        spare=("last seq", "hop ms", "epoch", "handled", *where, "handler ms"),
+        spare=("last seq", "hop ms", "epoch", "handled", "on", *where, "handler ms"),
     )  # fmt: skip
     clocks = ("round trip", "its clock is ahead")
     hosts = lean_table("hosts", names=("host", "sees"), words=("",), figures=clocks)
@@ -103,7 +103,7 @@ def top_tables(before: Status, now: Status, seconds: float) -> Group:
             for other in state.hosts:
                 _add(hosts, *_host_cells(label, other))
         for name in absent(said, nodes_of(now.nodes, label)):
-            _add(nodes, name, *here, _red(condition(said)), *[""] * 5)
+            _add(nodes, name, *here, _red(condition(said)), *[""] * 6)
     above = loop_lines(live.loop) if live.loop else []
     return Group(*above, edges, *told, nodes, processes, *([hosts] if several else []))
 
@@ -225,7 +225,7 @@ def _edge_cells(edge: EdgeState, rate: float) -> tuple[Cell, ...]:
 
 def _node_cells(node: NodeState) -> tuple[Cell, ...]:
     return (
-        node.condition, str(node.epoch), str(node.handled), str(node.last_seq),
+        node.condition, node.provider, str(node.epoch), str(node.handled), str(node.last_seq),
         pair(node.handler_ms), pair(node.hop_ms),
     )  # fmt: skip
 

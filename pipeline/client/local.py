@@ -252,7 +252,7 @@ def _node(names: Mapping[str, Any], ledger: Ledger) -> NodeState:
     return NodeState(
         name=names["name"], condition=account.condition, epoch=account.epoch,
         handled=account.handled, last_seq=account.last_seq, handler_ms=times["handler"],
-        hop_ms=times["hop"], loop_ms=times["loop"],
+        hop_ms=times["hop"], loop_ms=times["loop"], provider=account.provider,
     )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ GAUGES = {  # name -> help, labels
     "fovea_node_instance": ("Number of the node's instance; a swap or restart adds one.", NODE),
     "fovea_node_last_frame": ("Number of the last frame handled.", NODE),
     "fovea_node_condition": ("1 for the condition that the node is in.", (*NODE, "condition")),
+    "fovea_node_provider": ("1 for what computes the node's networks.", (*NODE, "provider")),
     "fovea_node_handler_seconds": ("Time of a handler call.", (*NODE, "percentile")),
     "fovea_node_hop_seconds": ("Time from sending to the call.", (*NODE, "percentile")),
     "fovea_loop_seconds": ("Picture ready to sensor command.", (*NODE, "percentile")),
@@ -102,6 +103,8 @@ def _of_state(state: State, at: tuple[str, str]) -> Iterator[Sample]:
         yield "fovea_node_instance", own, node.epoch
         yield "fovea_node_last_frame", own, node.last_seq
         yield "fovea_node_condition", (*own, node.condition), 1.0
+        if node.provider:
+            yield "fovea_node_provider", (*own, node.provider), 1.0
         yield from _percentiles("fovea_node_handler_seconds", own, node.handler_ms)
         yield from _percentiles("fovea_node_hop_seconds", own, node.hop_ms)
         if node.loop_ms.get("p50"):  # of the node that commands the sensor

@@ -64,6 +64,7 @@ def _nodes(supervisor: Supervisor) -> tuple[NodeState, ...]:
                 handler_ms=times["handler"],
                 hop_ms=times["hop"],
                 loop_ms=times["loop"],
+                provider=account.provider,
             )
         )
     return tuple(found)

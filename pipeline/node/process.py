@@ -175,10 +175,12 @@ class Process:
         for thread in threads:
             thread.start()
         try:
+            self._note_providers()  # not only after a second: a run may be shorter
             for thread in threads:
                 while thread.is_alive():
                     thread.join(HEADLINE_S)
                     self._look()
+                    self._note_providers()
                     self._tell_headlines()
                     for runner in self._runners:
                         if isinstance(runner, SourceRunner):
@@ -187,6 +189,10 @@ class Process:
             self.stop()
             for thread in threads:
                 thread.join(FAREWELL_S)
+
+    def _note_providers(self) -> None:
+        for runner in self._runners:  # again and again: a successor gets the account later
+            runner.account.provider = str(runner.operator.runs_on())
 
     def _tell_headlines(self) -> None:
         for node, operator in zip(self._nodes, self._operators, strict=True):

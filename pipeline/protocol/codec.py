@@ -18,7 +18,7 @@ from pipeline.class_cache import cached_by_class
 from pipeline.errors import MessageError, RunError
 from pipeline.text import error_text, harmless
 
-VERSION = 1  # incremented by every incompatible change
+VERSION = 2  # incremented by every incompatible change
 MARKER = 0xF5  # no JSON, text or msgpack map begins with it
 MOST_BYTES = 1 << 20
 TAG = "kind"

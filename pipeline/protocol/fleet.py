@@ -214,6 +214,7 @@ class NodeState(Part, frozen=True):
     handler_ms: dict[str, float]
     hop_ms: dict[str, float]
     loop_ms: dict[str, float]
+    provider: str = ""  # what computes its networks; empty without one
 
 
 class EdgeState(Part, frozen=True):

@@ -81,6 +81,7 @@ class InlineRunner:
             for name, loaded in self._nodes.items():
                 self.at = name
                 loaded.operator.open()
+                loaded.account.provider = str(loaded.operator.runs_on())
         except BaseException:
             self.__exit__()
             raise

@@ -109,6 +109,7 @@ def _stage(
     account = ledger.nodes[node.index]
     return {
         "node": node.name,
+        **({"provider": account.provider} if account.provider else {}),
         "latency_ms": account.histograms["handler"].summary(),
         "hop_ms": account.histograms["hop"].summary(),
         "handled": account.handled,

@@ -10,8 +10,10 @@ from operators.policy.network import SHIPPED
 from operators.saliency import SaliencySettings
 from operators.saliency.detector import EIGHT_BITS
 from pipeline import SettingsError
+from pipeline.graph.loader import load
 from pipeline.inference import Network, available
 from pipeline.providers import NAMES, PROVIDERS, NetworkSettings, missing, options_of, order
+from pipeline.run.inline import InlineRunner
 
 CPU_ALONE = ["CPUExecutionProvider"]
 EVERYTHING = [full for full, _ in PROVIDERS.values()]
@@ -132,3 +134,13 @@ def test_openvino_computes_what_the_cpu_computes(
             other(given)[name], expected, atol=tolerance * float(np.abs(expected).max())
         )
     assert list((tmp_path / ".cache" / "fovea" / "engines").iterdir())  # compiled once
+
+
+def test_the_report_has_the_provider_of_every_node_with_a_network():
+    with InlineRunner(load(Path("graphs/tracking.yaml"))) as runner:
+        list(runner.run(1))
+        stages = runner.report()["stages"]
+
+    found = {stage["node"]: stage["provider"] for stage in stages if "provider" in stage}
+    expected = Network(SHIPPED).provider
+    assert found == dict.fromkeys(("saliency", "roi_features", "policy", "tracker"), expected)

@@ -73,6 +73,10 @@ class ReadingPolicy(TextPolicy[ReadingPolicySettings]):
         self._sure = self._network.sure(s.sure)
         self._warned: set[str] = set()
 
+    def runs_on(self) -> str:
+        """The provider of the network."""
+        return self._network.network.provider
+
     def on_settings(self, settings: ReadingPolicySettings) -> None:
         """Take another score as sure from the next plan on."""
         self.settings, self._sure = settings, self._network.sure(settings.sure)

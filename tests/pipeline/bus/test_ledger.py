@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from operators.visualise import Visualise
-from pipeline.bus.ledger import ROOM_EDGES, ROOM_NODES, private_ledger
+from pipeline.bus.ledger import PROVIDER_BYTES, ROOM_EDGES, ROOM_NODES, private_ledger
 from pipeline.client.viewing import wiring
 from pipeline.contract import inputs_of
 from pipeline.graph.editing import loaded_ports
@@ -38,3 +38,19 @@ def test_viewers_and_a_recorder_of_everything_fit_into_a_running_graph(graph: st
     assert VIEWERS * len(seen) + len(read) <= ROOM_EDGES
     assert ROOM_NODES > VIEWERS
     assert set(seen) <= set(inputs_of(Visualise))
+
+
+@pytest.mark.parametrize(
+    ("written", "read"),
+    [("cuda, cpu", "cuda, cpu"), ("", ""), ("x" * 99, "x" * (PROVIDER_BYTES - 1)), ("é", "?")],
+)
+def test_what_computes_a_nodes_networks_is_bounded_and_harmless(written: str, read: str):
+    (account,) = private_ledger(0, 1).nodes
+    account.provider, account.epoch = "tensorrt", 3
+
+    account.provider = written
+
+    assert account.provider == read
+    assert (account.epoch, account.absent_until_ns) == (3, 0)
+    account.clear()
+    assert account.provider == ""

@@ -4,7 +4,7 @@ from rich.console import Console, RenderableType
 
 from pipeline.cli.tables import health_table, process_table, settings_table, top_tables
 from pipeline.client.graph_client import Said, Status
-from pipeline.protocol.fleet import Process, State
+from pipeline.protocol.fleet import NodeState, Process, State
 from pipeline.protocol.questions import NodeSettings
 
 NODES = {"capture": "sensor", "saliency": "compute", "policy": "compute"}
@@ -62,3 +62,19 @@ def test_text_from_outside_is_not_taken_for_markup() -> None:
     assert "[/tmp]" in "".join(
         shown(settings_table(NodeSettings(settings={"at": ["[/tmp]"]}, live=())))
     )
+
+
+def test_top_says_what_computes_the_network_of_a_node() -> None:
+    none = {"p50": 0.0, "p99": 0.0}
+    nodes = tuple(
+        NodeState(name, "waiting", 1, 9, 9, none, none, none, *on)
+        for name, *on in (("saliency", "cuda"), ("dispatch",))
+    )
+    both = State("g", "", 0, "running", "", (), nodes, (), (), {})
+    now = Status(graph="g", hosts={"": (both,)}, nodes={})
+
+    lines = shown(top_tables(now, now, 1.0))
+
+    assert [line.split()[:3] for line in lines if "waiting" in line] == [
+        ["saliency", "waiting", "cuda"], ["dispatch", "waiting", "1"],
+    ]  # fmt: skip

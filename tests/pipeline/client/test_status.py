@@ -5,8 +5,18 @@ from pathlib import Path
 
 from pipeline.client.find import find
 from pipeline.protocol.fleet import Process
+from pipeline.protocol.orders import SwapOrder
 from pipeline.run.supervisor import Supervisor
-from tests.sample_graphs import CHAIN, go, handled, plan_of, send_signal, wait_for
+from tests.sample_graphs import (
+    CHAIN,
+    beside,
+    go,
+    handled,
+    plan_of,
+    send_signal,
+    swapped,
+    wait_for,
+)
 
 
 def processes(graph: str) -> dict[str, Process]:
@@ -35,3 +45,28 @@ def test_the_status_has_restarts_and_crashes_of_every_process(tmp_path: Path) ->
     assert counts == {"ticker": (0, 0), "glance": (1, 1), "count": (0, 1)}
     assert found["count"].pid == 0  # it is gone; its number may be that of another process by now
     assert found["count"].nodes == ("count",)
+
+
+def providers(graph: str) -> dict[str, str]:
+    (said,) = find(graph).status().hosts.values()
+    assert not isinstance(said, str)
+    return {node.name: node.provider for state in said for node in state.nodes}
+
+
+def test_the_status_has_what_computes_the_network_of_every_node(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, CHAIN.replace("samples:Pass", "samples:Computed"))
+    found: dict[str, str] = {}
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: providers(plan.name)["glance"])
+        found.update(providers(plan.name))
+        other = SwapOrder(node="glance", changes={"on": "cpu"}, probation=1)
+        swapped(beside(supervisor, lambda: find(plan.name).swap(other)))
+        wait_for(supervisor, lambda: providers(plan.name)["glance"] == "cpu")
+        supervisor.finish()
+
+    report = go(plan, 0, during)
+
+    assert found == {"ticker": "", "count": "", "glance": "tensorrt, cpu"}
+    on = {stage["node"]: stage.get("provider") for stage in report["stages"]}
+    assert on == {"ticker": None, "count": None, "glance": "cpu"}
