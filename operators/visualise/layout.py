@@ -8,6 +8,7 @@ from operators.visualise.shown import Shown
 
 SHOWN_FRAMES = 600  # of plots: the last ones
 RASTER_PX = (-90, 260), (-16, 124)  # left to right, top to bottom; the names stand left of 0
+STACK_PX = (-62, 300), (-10, 130)  # likewise; the scale stands left of 0, the names at the right
 
 
 def layout(shown: Shown) -> rrb.Blueprint:
@@ -32,9 +33,11 @@ def layout(shown: Shown) -> rrb.Blueprint:
         name="policy: objects by frames",
         visual_bounds=rrb.VisualBounds2D(x_range=RASTER_PX[0], y_range=RASTER_PX[1]),
     )
+    # what acts has no target: it is shown how much the action changes in its place
+    moves = plot("action change", "figures/action_change")
     figures = [
-        plot("target", "figures/target", (0.0, 1.05)), plot("pixels", "figures/pixels"),
-        plot("drops", "drops"),
+        moves if shown.acts else plot("target", "figures/target", (0.0, 1.05)),
+        plot("pixels", "figures/pixels"), plot("drops", "drops"),
     ]  # fmt: skip
     below = rrb.Horizontal(
         rrb.Tabs(plot("action", "action"), raster) if shown.acts else raster,
@@ -55,9 +58,14 @@ def layout(shown: Shown) -> rrb.Blueprint:
     )
 
 
-def _latency(*, details: bool) -> list[rrb.TimeSeriesView]:
-    shown = [plot("loop latency, ms", "latency/loop"), plot("by stage", "latency/stages")]
-    return [*shown, plot("details", "latency/each")] if details else shown
+def _latency(*, details: bool) -> list[rrb.View]:
+    stack = rrb.Spatial2DView(
+        origin="latency/stack", name="by stage, ms",
+        visual_bounds=rrb.VisualBounds2D(x_range=STACK_PX[0], y_range=STACK_PX[1]),
+    )  # fmt: skip
+    shown: list[rrb.View] = [plot("loop latency, ms", "latency/loop"), stack]
+    ends = [plot("stages, ms", "latency/stages"), plot("details", "latency/each")]
+    return [*shown, *ends] if details else shown
 
 
 def collapsed_panels() -> tuple[rrb.TimePanel, rrb.SelectionPanel, rrb.BlueprintPanel]:

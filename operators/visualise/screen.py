@@ -33,6 +33,7 @@ LINES = {  # entity -> name and colour of its line
     "figures/pixels/budget": ("budget, %", (120, 150, 180)),
     "figures/target/in_roi": ("share inside the ROI", (225, 160, 0)),
     "figures/target/iou": ("IoU with the truth", (255, 60, 60)),
+    "figures/action_change": ("largest change of a value of the action", (60, 150, 220)),
 }
 LEGEND = """\
 **Bright yellow**: the ROI, read at full resolution in this frame; at the right, beside what the
@@ -177,9 +178,9 @@ class Screen:
 
     def texts(
         self, path: str, places: NDArray[np.float32], texts: Sequence[str],
-        colour: tuple[int, int, int],
+        colour: tuple[int, int, int] | NDArray[np.uint8],
     ) -> None:  # fmt: skip
-        """Write short texts at points (n, 2)."""
+        """Write short texts at points (n, 2), in one colour or each in its own."""
         dots = rr.Points2D(places, labels=texts, show_labels=True, radii=THIN, colors=colour)
         self._log(path, dots)
 

@@ -18,6 +18,7 @@ from operators.visualise.figures import LoopLatency, PixelsRead, Target, latenci
 from operators.visualise.pictures import encoded, jpeg, jpeg_within, same_window
 from operators.visualise.raster import PAST_FRAMES, ScanpathRaster
 from operators.visualise.shown import Shown
+from operators.visualise.stack import StageStack, draw
 from pipeline.boxes import centres
 from pipeline.contract import INCOMPLETE, Input, Operator
 from pipeline.errors import RunError, SettingsError
@@ -41,6 +42,7 @@ else:  # it needs the extra `view`
 
 TRAIL_FRAMES = 30
 CELL = (4, 15)  # of the raster, width and height
+STACK_EVERY = 5  # frames shown, between two pictures of the loop by stage
 MOST_NAMES = 500  # of objects seen, for the raster
 MOST_WINDOW_PX = 640  # width of what the context shows of an ROI
 MOST_FULL_PX = 4096  # width of a full picture; larger ones are averaged
@@ -96,6 +98,7 @@ class Visualise(Operator[VisualiseSettings, None]):
 
     _screen: "screen.Screen | None" = None
     _tracks: Tracks | None = None  # the newest
+    _action: NDArray[np.float32]  # the newest
     _kinds: set[str]  # fields of `Shown` that were seen to hold
 
     @classmethod
@@ -253,10 +256,15 @@ class Visualise(Operator[VisualiseSettings, None]):
             boxes, colours, places, numbers = field.planned(schedule)
             self._out.boxes("sensor/planned", boxes, colours)
             self._out.texts("sensor/planned/numbers", places, numbers, field.YELLOW)
-        for name, value in self._loop.figures().items():
+        figures = self._loop.figures()
+        for name, value in figures.items():
             self._out.value(f"latency/loop/{name}", value)
-        for name, value in stages(schedule.header).items():
+        finished_ms = stages(schedule.header)
+        for name, value in finished_ms.items():
             self._out.value(f"latency/stages/{name}", value)
+        self._stack.add(finished_ms)
+        if schedule.header.seq // self.settings.every % STACK_EVERY == 0:
+            draw(self._stack, figures.get("budget_p50", 0.0), self._out)
 
     def on_percept(self, percept: Percept) -> None:
         """What the consumer saw, read or did."""
@@ -278,6 +286,10 @@ class Visualise(Operator[VisualiseSettings, None]):
         if len(percept.action):
             self._kinds.add("acts")
             self._out.value("action", *map(float, percept.action[:MOST_ACTIONS]))
+            if len(percept.action) == len(self._action):
+                change = np.abs(percept.action - self._action).max()
+                self._out.value("figures/action_change", float(change))
+            self._action = percept.action
 
     @property
     def _out(self) -> "screen.Screen":
@@ -289,7 +301,8 @@ class Visualise(Operator[VisualiseSettings, None]):
         """Know nothing of the stream."""
         self._trails: dict[int, deque[NDArray[np.float32]]] = {}
         self._loop, self._pixels, self._target = LoopLatency(), PixelsRead(), Target()
-        self._raster, self._events = ScanpathRaster(), Events()
+        self._raster, self._stack, self._events = ScanpathRaster(), StageStack(), Events()
+        self._action = np.zeros(0, np.float32)
         self._names = dict[int, str]()  # of the tracks
         self._tracks = None
         self._start_ns: int | None = None

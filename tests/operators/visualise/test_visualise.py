@@ -62,7 +62,9 @@ FIGURES = {
     "/latency/loop/p50", "/latency/loop/p99", "/latency/loop/budget_p50",
     "/latency/loop/budget_p99", "/latency/stages/capture",
     "/latency/stages/dispatch", "/figures/pixels/read", "/figures/pixels/budget",
-    "/figures/target/in_roi", "/figures/target/iou", "/action",
+    "/figures/target/in_roi", "/figures/target/iou", "/action", "/figures/action_change",
+    "/latency/stack/areas", "/latency/stack/names", "/latency/stack/budget",
+    "/latency/stack/scale",
     "/scanpath/raster", "/scanpath/names", "/scanpath/now", "/log", "/legend",
 }  # fmt: skip
 DETAILS = {
@@ -116,8 +118,8 @@ def test_the_view_opens_on_frames_with_its_panels_collapsed(tmp_path):
     assert layout["collapsed"] == {"/selection_panel", "/blueprint_panel", "/time_panel"}
     assert layout["views"] >= {
         "whole field, the ROI in place", "ROI, as read", "the same window in the context",
-        "policy: objects by frames", "loop latency, ms", "by stage", "target", "pixels", "drops",
-        "texts and events", "what is drawn", "action",
+        "policy: objects by frames", "loop latency, ms", "by stage, ms", "action change",
+        "pixels", "drops", "texts and events", "what is drawn", "action",
     }  # fmt: skip
 
 
@@ -135,7 +137,7 @@ def test_what_the_consumer_does_has_a_place_only_where_it_does_it(tmp_path):
     plain = layout_of(tmp_path / "plain.rrd")["views"]
 
     assert not {"action", "details", "texts and events"} & plain
-    assert views["acts"] - plain == {"action"}
+    assert views["acts"] - plain == {"action", "action change"}
     assert views["reads"] - plain == {"texts and events"}
 
 
