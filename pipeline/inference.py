@@ -20,6 +20,7 @@ from pipeline.providers import (
     CPU,
     PROVIDERS,
     WITHOUT_EIGHT_BITS,
+    memory_of,
     missing,
     options_of,
     order,
@@ -56,6 +57,8 @@ class Network:
             raise WeightsError(f"{path}: no such weights{pull_hint(path)}")
         self.provider, self._session = _loaded(path, threads, provider, device)
         self.path, self._asked = path, provider
+        memory = memory_of(self.provider, device)
+        self._run = Bound(self._session, *memory) if memory else self._plain
         self.input_types = {i.name: str(i.type) for i in self._session.get_inputs()}
         self._half = {name for name, kind in self.input_types.items() if kind == HALF}
         self.inputs = {i.name: i.shape for i in self._session.get_inputs()}
@@ -84,11 +87,48 @@ class Network:
         """
         given = {n: a.astype(np.float16) if n in self._half else a for n, a in feeds.items()}
         try:
-            results = self._session.run(None, given)
+            results = self._run(given)
         except Exception as error:  # as above
             why = harmless(str(error), MOST_REASON)
             raise WeightsError(f"{self.path}: cannot run on {_shapes(feeds)}: {why}") from error
         return {name: _single(np.asarray(r)) for name, r in zip(self.outputs, results, strict=True)}
+
+    def _plain(self, feeds: Mapping[str, NDArray[Any]]) -> list[Any]:
+        return list(self._session.run(None, feeds))
+
+
+class Bound:
+    """Runs a session whose inputs lie in a device's memory, written there once a call.
+
+    An input keeps its place there as long as its shape and type stay. Outputs are the caller's.
+    """
+
+    def __init__(self, session: onnxruntime.InferenceSession, memory: str, number: int) -> None:
+        """`memory`: cuda, or cpu for the host's; `number`: of the device."""
+        self._session, self._memory, self._number = session, memory, number
+        self._binding = session.io_binding()
+        self._outputs = [output.name for output in session.get_outputs()]
+        self._places: dict[str, tuple[tuple[int, ...], np.dtype[Any], onnxruntime.OrtValue]] = {}
+
+    def __call__(self, feeds: Mapping[str, NDArray[Any]]) -> list[Any]:
+        """Return the outputs in their order; raises what the library raises."""
+        for name, array in feeds.items():
+            self._put(name, np.ascontiguousarray(array))
+        self._binding.clear_binding_outputs()  # else the next call would write into these
+        for name in self._outputs:
+            self._binding.bind_output(name)
+        self._session.run_with_iobinding(self._binding)
+        return list(self._binding.copy_outputs_to_cpu())
+
+    def _put(self, name: str, array: NDArray[Any]) -> None:
+        shape, kind, place = self._places.get(name, (None, None, None))
+        if place is None or (shape, kind) != (array.shape, array.dtype):
+            place = onnxruntime.OrtValue.ortvalue_from_shape_and_type(
+                array.shape, array.dtype, self._memory, self._number
+            )
+            self._places[name] = array.shape, array.dtype, place
+            self._binding.bind_ortvalue_input(name, place)
+        place.update_inplace(array)
 
 
 def available() -> tuple[str, ...]:
