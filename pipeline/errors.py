@@ -9,6 +9,7 @@ FoveaError
 ├── WeightsError    a network's weights are missing or have the wrong checksum
 ├── InstallError    a package of an optional extra is not installed
 └── RunError        a running graph cannot continue
+    ├── Busy        it does something else now: the same order may succeed a moment later
     └── Silent      no answer came in time
 
 Every message names the place and the subject, what was expected and what was found.
@@ -49,6 +50,10 @@ class InstallError(FoveaError):
 
 class RunError(FoveaError):
     """A running graph cannot continue."""
+
+
+class Busy(RunError):
+    """A graph is changing; the same order may succeed when that has ended."""
 
 
 class Silent(RunError):

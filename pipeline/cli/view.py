@@ -28,14 +28,16 @@ def view(
 ) -> None:
     """Watch a running graph in a browser of this host, with Rerun; Ctrl-C ends the view only."""
     client = clients.find(graph or "")
-    port = port or _free("port", ())
-    web_port = web_port or _free("web_port", (port,))
-    settings = {
-        "serve": True, "port": port, "web_port": web_port, "every": every, "details": details,
-    }  # fmt: skip
+    used: dict[str, int] = {}
+
+    def settings() -> dict[str, object]:
+        used["port"] = port or _free("port", ())
+        used["web_port"] = web_port or _free("web_port", (used["port"],))
+        return {"serve": True, **used, "every": every, "details": details}
+
     with attached(client, settings) as node:
-        data = quote(f"rerun+http://127.0.0.1:{port}/proxy", safe="")
-        address = f"http://127.0.0.1:{web_port}/?url={data}"
+        data = quote(f"rerun+http://127.0.0.1:{used['port']}/proxy", safe="")
+        address = f"http://127.0.0.1:{used['web_port']}/?url={data}"
         try:
             click.echo(f"{client.name}: look at {address}\nCtrl-C ends the view; the graph goes on")
             if not no_browser:

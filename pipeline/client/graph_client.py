@@ -1,5 +1,6 @@
 """Interface to a running graph, local or deployed: questions and orders."""
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -9,7 +10,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from pipeline.bus.tap import Heard, Tap
-from pipeline.errors import RunError
+from pipeline.errors import Busy, RunError
 from pipeline.graph.editing import PortTypes, rewired, with_nodes, without_node
 from pipeline.graph.loader import Sent
 from pipeline.graph.plan import Plan
@@ -28,10 +29,24 @@ from pipeline.protocol.questions import (
 )
 from pipeline.settings import suggest
 
+FREE_S = 20.0  # for another order to end: a node that joins takes seconds
+RETRY_S = 0.2
 ORDER_S = 300.0  # covers loading a model, a shadow run and probation
 Said = Sequence[State] | str  # of one host: its state, or why it is unknown
 Edit = Callable[[Plan], Plan]
 T = TypeVar("T")
+
+
+def when_free(change: Callable[[], T], wait_s: float = FREE_S) -> T:
+    """Return what a change returns; while its graph is busy with another one, try again."""
+    late_s = time.monotonic() + wait_s
+    while True:
+        try:
+            return change()
+        except Busy:
+            if time.monotonic() > late_s:
+                raise
+            time.sleep(RETRY_S)
 
 
 class Status(msgspec.Struct, kw_only=True):

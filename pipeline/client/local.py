@@ -25,7 +25,7 @@ from pipeline.client.graph_client import (
     Stopped,
     output_of,
 )
-from pipeline.errors import GraphError, MessageError, RunError, SettingsError
+from pipeline.errors import Busy, GraphError, MessageError, RunError, SettingsError
 from pipeline.graph.plan import Plan
 from pipeline.node.wiring import key_of
 from pipeline.protocol.codec import decode, decode_answer, encode
@@ -215,6 +215,8 @@ def state_from(facts: Mapping[str, Any], ledger: Ledger) -> State:
 
 def judged(result: Result) -> Done:
     """Return the result of an order; raises the error of one that was refused."""
+    if isinstance(result, Refused) and result.busy:
+        raise Busy(result.reason)
     if isinstance(result, Refused):
         raise (RunError if result.rolled_back else GraphError)(result.reason)
     return result

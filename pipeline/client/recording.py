@@ -16,6 +16,7 @@ import msgspec
 
 from pipeline import codec
 from pipeline.class_cache import adapter
+from pipeline.client.graph_client import when_free
 from pipeline.client.local import LocalGraph
 from pipeline.contract import inputs_of
 from pipeline.errors import FoveaError, RunError
@@ -86,7 +87,7 @@ def begin(client: LocalGraph, path: Path, what: Chosen, settings: dict[str, Any]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "record.yaml"
         file.write_text(json.dumps({"nodes": {NODE: node}}), encoding="utf-8")
-        client.add(file)
+        when_free(lambda: client.add(file))
 
 
 class Outcome(msgspec.Struct):
@@ -117,7 +118,7 @@ def follow(
         if looks % ASK_LOOKS == 0 and _told(client, found).failure:
             break
     _told(client, found)
-    client.remove(NODE)
+    when_free(lambda: client.remove(NODE))
     return found
 
 

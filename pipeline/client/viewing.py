@@ -17,7 +17,7 @@ from typing import Any
 
 import psutil
 
-from pipeline.client.graph_client import GraphClient, Status
+from pipeline.client.graph_client import FREE_S, RETRY_S, GraphClient, Status, when_free
 from pipeline.client.local import LocalGraph
 from pipeline.errors import FoveaError, RunError
 from pipeline.graph.editing import PortTypes, with_nodes
@@ -39,10 +39,14 @@ MOST_TOLD = 50  # lines and counts of one look
 
 
 @contextmanager
-def attached(client: GraphClient, settings: Mapping[str, Any]) -> Iterator[str]:
+def attached(
+    client: GraphClient, settings: Callable[[], Mapping[str, Any]], wait_s: float = FREE_S
+) -> Iterator[str]:
     """Add a viewer to a graph, yield its node's name, and remove it.
 
-    Viewers that a killed command left are removed, too. Raises `FoveaError` when the graph is not
+    While the graph is busy with another order it waits, `wait_s` at most; `settings` is asked for
+    at each try, since a port that was free may have been taken. Viewers that a killed command
+    left are removed, too. Raises `FoveaError` when the graph is not
     on this host, or has nothing that can be shown.
     """
     if not isinstance(client, LocalGraph):
@@ -55,14 +59,14 @@ def attached(client: GraphClient, settings: Mapping[str, Any]) -> Iterator[str]:
 
     def with_viewer(plan: Plan) -> Plan:
         inputs = wiring(plan, client.ports)
-        node = {"operator": VIEWER, "inputs": inputs, "settings": dict(settings)}
+        node = {"operator": VIEWER, "inputs": inputs, "settings": dict(settings())}
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "viewer.yaml"
             file.write_text(json.dumps({"nodes": {name: node}}))  # which is YAML, too
             return with_nodes(plan, file, client.ports)
 
     try:
-        client.replan(with_viewer)
+        when_free(lambda: client.replan(with_viewer), wait_s)
         yield name
     finally:
         _remove(client, name)
@@ -201,4 +205,4 @@ def _remove(client: GraphClient, node: str) -> None:
         except FoveaError:
             if time.monotonic() > late_s:
                 raise
-            time.sleep(0.2)
+            time.sleep(RETRY_S)

@@ -42,6 +42,7 @@ class Refused(ControlMessage, frozen=True):
 
     reason: str  # one sentence
     rolled_back: bool = False  # a change was made and undone
+    busy: bool = False  # the same request may succeed a moment later
 
 
 class Kind(Generic[T]):
@@ -101,9 +102,9 @@ def fields_of(message: ControlMessage) -> dict[str, Any]:
     return {name: value for name, value in plain.items() if name != TAG}
 
 
-def refused(reason: str, *, rolled_back: bool = False) -> Refused:
+def refused(reason: str, *, rolled_back: bool = False, busy: bool = False) -> Refused:
     """Return a `Refused` with a sanitised, truncated reason."""
-    return Refused(harmless(reason), rolled_back)
+    return Refused(harmless(reason), rolled_back, busy)
 
 
 def failed(error: BaseException) -> Refused:

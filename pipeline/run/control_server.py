@@ -9,7 +9,7 @@ import queue
 import threading
 from collections.abc import Callable
 
-from pipeline.errors import FoveaError, RunError
+from pipeline.errors import Busy, FoveaError, RunError
 from pipeline.protocol.codec import decode, encode, failed, refused
 from pipeline.protocol.orders import (
     ORDER,
@@ -76,7 +76,7 @@ class ControlServer:
         if isinstance(order, StopOrder):
             self._stop(reply)
         elif self._operation is not None:
-            raise RunError(f"{manager.plan.name}: another order is in progress")
+            raise Busy(f"{manager.plan.name}: another order is in progress")
         else:
             self._operation = self._started(order)
             self._reply = reply
@@ -91,7 +91,7 @@ class ControlServer:
         try:
             self.take(decode(ORDER, order), reply)
         except FoveaError as error:
-            reply(refused(str(error)))
+            reply(refused(str(error), busy=isinstance(error, Busy)))
         except Exception as error:  # an order must not end the graph
             log.exception("an order failed")
             reply(failed(error))

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from pipeline.bus.ledger import ROOM_EDGES, ROOM_NODES
-from pipeline.errors import RunError
+from pipeline.errors import Busy, RunError
 from pipeline.graph.plan import Edge, Node, Plan
 from pipeline.graph.ports import check_ports
 from pipeline.protocol.orders import PlanOrder, TopologyResult
@@ -33,7 +33,7 @@ class TopologyOperation(Operation):
 
     def __init__(self, manager: ProcessManager, order: PlanOrder) -> None:
         if order.revision != manager.revision:
-            raise RunError(f"{manager.plan.name}: it was changed meanwhile, try again")
+            raise Busy(f"{manager.plan.name}: it was changed meanwhile, try again")
         wanted = order.plan
         same = ("name", "clock", "hosts", "here")
         if any(getattr(wanted, name) != getattr(manager.plan, name) for name in same):

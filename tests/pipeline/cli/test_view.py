@@ -13,9 +13,9 @@ from time import monotonic, sleep
 import psutil
 import pytest
 
-from pipeline.client.graph_client import Status
+from pipeline.client.graph_client import Status, when_free
 from pipeline.client.viewing import changed_settings, drops, happened, wiring
-from pipeline.errors import RunError
+from pipeline.errors import Busy, RunError
 from pipeline.graph.editing import loaded_ports
 from pipeline.graph.loader import load
 from pipeline.protocol.fleet import EdgeState, NodeState, Process, State
@@ -48,6 +48,50 @@ def viewing(name: str) -> "subprocess.Popen[str]":
     assert view.stdout is not None
     assert re.match(rf"{name}: look at http://127\.0\.0\.1:\d+/\?url=rerun", view.stdout.readline())
     return view
+
+
+def test_two_views_at_once_wait_for_one_another(name: str) -> None:
+    views = [
+        subprocess.Popen(
+            [*FOVEA, "view", name, "--no-browser"], stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT, text=True,
+        ) for _ in range(2)
+    ]  # fmt: skip
+    first = [view.stdout.readline() for view in views if view.stdout is not None]
+    joined = {node for node in nodes(name) if node.startswith("viewer")}
+    for view in views:
+        view.send_signal(signal.SIGINT)
+        view.communicate(timeout=60)
+
+    assert all(line.startswith(f"{name}: look at http://") for line in first), first
+    assert len(set(first)) == 2
+    assert joined == {f"viewer_{view.pid}" for view in views}
+    assert [view.returncode for view in views] == [0, 0]
+
+
+@pytest.mark.parametrize("refusals", [0, 3])
+def test_a_change_waits_while_the_graph_is_busy(refusals: int) -> None:
+    left = [Busy("g: another order is in progress")] * refusals
+
+    def change() -> str:
+        if left:
+            raise left.pop()
+        return "changed"
+
+    assert when_free(change, 60.0) == "changed"
+
+
+def test_a_change_waits_for_a_bounded_time_and_for_nothing_else() -> None:
+    calls: list[RunError] = [Busy("g: another order is in progress"), RunError("g: no room")]
+
+    def change() -> None:
+        raise calls[-1]
+
+    with pytest.raises(RunError, match="no room"):
+        when_free(change, 60.0)
+    calls.pop()
+    with pytest.raises(Busy, match="another order"):
+        when_free(change, 0.0)
 
 
 def nodes(name: str) -> set[str]:
