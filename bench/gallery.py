@@ -41,7 +41,11 @@ LIMIT_S = 240.0
 @click.command(cls=Bench)
 @click.argument("graphs", nargs=-1)
 @click.option("--out", default=RESULTS, type=click.Path(path_type=Path), help="A folder.")
-def main(graphs: tuple[str, ...], out: Path) -> None:
+@click.option(
+    "--limit-s", default=LIMIT_S, type=click.FloatRange(1), show_default=True,
+    help="Of a run, and of its drawing: more on a busy machine.",
+)  # fmt: skip
+def main(graphs: tuple[str, ...], out: Path, limit_s: float) -> None:
     """Write a picture of the view of each graph; without any, of the shipped ones named above."""
     for graph in graphs or RUNS:
         name = Path(graph).stem
@@ -49,20 +53,22 @@ def main(graphs: tuple[str, ...], out: Path) -> None:
         with tempfile.TemporaryDirectory() as folder:
             recording = Path(folder) / "seen.rrd"
             frames, changes = RUNS.get(name, OTHERS)
-            record(graph, recording, frames, changes)
-            png = small(photograph(recording))
+            record(graph, recording, frames, changes, limit_s)
+            png = small(photograph(recording, limit_s))
         out.mkdir(parents=True, exist_ok=True)
         path.write_bytes(png)
         click.echo(f"{path.name}: {len(png) / 1000:.0f} kB, {frames} frames")
 
 
-def record(graph: str, path: Path, frames: int, changes: tuple[str, ...]) -> None:
+def record(
+    graph: str, path: Path, frames: int, changes: tuple[str, ...], limit_s: float = LIMIT_S
+) -> None:
     """Run a graph with a recording; raises `RunError` when it fails."""
     words = ["run", graph, "--frames", str(frames), "--save", str(path)]
     words += [f"--set={change}" for change in changes]
     done = subprocess.run(
         [sys.executable, "-m", "pipeline.entry", *words],
-        capture_output=True, text=True, timeout=LIMIT_S, check=False,
+        capture_output=True, text=True, timeout=limit_s, check=False,
     )  # fmt: skip
     if done.returncode:
         raise RunError(f"{graph}: {done.stderr.strip()[-500:]}")
