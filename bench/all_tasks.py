@@ -1,4 +1,4 @@
-"""The paper's Table 1 from reports of all tasks: `python -m bench.all_tasks --out FOLDER …`.
+"""The paper's Table 1 from reports of all tasks, for `python -m bench.tables --only all-tasks`.
 
 Takes what `fovea eval tracking`, `text` and `manipulation` wrote with `--report`, one or more of
 them, and writes a table as a result file (`all_tasks.json`) and as Markdown, with the paper's
@@ -15,10 +15,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import click
-
-from bench.options import Bench
-from bench.outputs import make_folder
 from bench.tracking.plots import looks
 from pipeline.errors import SettingsError
 from pipeline.extras import need
@@ -66,28 +62,18 @@ class Cell:
     value: float
 
 
-@click.command(cls=Bench)
-@click.option("--tracking", type=Path, help="report of fovea eval tracking")
-@click.option("--text", type=Path, help="report of fovea eval text")
-@click.option("--manipulation", type=Path, help="report of fovea eval manipulation")
-@click.option("--target", default="ball", show_default=True, help="of tracking")
-@click.option("--out", type=Path, required=True, help="folder for JSON, Markdown and plot")
-def main(
-    tracking: Path | None, text: Path | None, manipulation: Path | None, target: str, out: Path
-) -> None:
-    """Put the tasks into one table."""
-    given = {"tracking": tracking, "text": text, "manipulation": manipulation}
-    reports = {task: read_report(path) for task, path in given.items() if path}
-    if not reports:
-        raise SettingsError("expected a report of --tracking, --text or --manipulation, got none")
-    make_folder("out", out)
+def write_table(given: Mapping[str, Path], target: str, out: Path) -> None:
+    """Put the reports of tasks, by the task's name, into one table and one plot in a folder.
+
+    Raises `SettingsError` for files that are no reports of these tasks.
+    """
+    reports = {task: read_report(path) for task, path in given.items()}
     cells = [cell for task, report in reports.items() for cell in cells_of(task, report, target)]
     picture = out / f"{NAME}.png"
     plot(cells, picture)
     found = table_of(cells, reports, picture.name)
     write_whole(out / f"{NAME}.json", json.dumps(found, indent=1, ensure_ascii=False) + os.linesep)
     write_whole(out / f"{NAME}.md", markdown_of(found))
-    click.echo(markdown_of(found))
 
 
 def read_report(path: Path) -> dict[str, Any]:
@@ -165,7 +151,7 @@ def table_of(
         "section": "All tasks",
         "order": 1,
         "title": "All tasks beside the paper's Table 1: ours | the paper's",
-        "source": "python -m bench.all_tasks",
+        "source": "python -m bench.tables",
         "data": data,
         "commit": ", ".join(sorted(commits)),
         "reference": "the paper: Table 1, its budget sweep and its longer exposure, on other data",
@@ -230,7 +216,3 @@ def plot(cells: Sequence[Cell], path: Path) -> None:
         list(names.values()), list(names), loc="outside lower center", ncols=5, fontsize=8
     )
     figure.savefig(path, dpi=140)
-
-
-if __name__ == "__main__":
-    main()

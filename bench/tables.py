@@ -1,11 +1,13 @@
-"""Reproduce the paper's tables for object tracking: `python -m bench.tables --out FOLDER`.
+"""Reproduce the paper's tables: `python -m bench.tables --out FOLDER`.
 
 The studies are: all strategies at all budgets on held-out procedural clips and, with --soccernet,
 on real footage that no network was trained on, with eight players as a separate study; late and
 rare plans, with and without prediction; the loop with one part at a time replaced by the truth;
 with --ablation NAME=FILE, policies without some of their inputs; with --far FILE, a policy that was
-trained for plans 60 frames late; the time of each part. A study that cannot be measured is refused
-before the first one begins, and an interrupted study continues.
+trained for plans 60 frames late; the time of each part. Last comes one table of all tasks beside
+the paper's: tracking as measured here, text and manipulation from the reports of `fovea eval`. A
+study that cannot be measured is refused before the first one begins, and an interrupted study
+continues.
 Each study is written to files of its own with a plot; `tables.md` and `tables.json` hold all
 studies of the folder. `--quick` tries everything on little data: its figures mean nothing.
 """
@@ -16,6 +18,7 @@ from pathlib import Path
 
 import click
 
+from bench import all_tasks
 from bench.machine import facts
 from bench.options import Bench
 from bench.outputs import make_folder
@@ -24,7 +27,7 @@ from bench.tracking.evaluate import asked, command, try_out
 from bench.tracking.options import options_of, policy_files
 from bench.tracking.replaced import PARTS
 from operators.policy.network import SHIPPED
-from pipeline.errors import FoveaError
+from pipeline.errors import FoveaError, SettingsError
 
 TOGETHER = ("detections+association",)  # the policy's inputs with perfect perception
 NAMES = {
@@ -45,8 +48,11 @@ NAMES = {
     "limits-soccernet": "The same on real footage, eight players",
     "ablation": "Inputs of the policy left out, at 1/8",
     "run-time": "Time of each part, one thread",
+    "all-tasks": "All tasks beside the paper's Table 1",
 }
-
+UNPLANNED = ("run-time", "all-tasks")  # no studies of `fovea eval tracking`
+RESULTS = Path(__file__).with_name("results")
+REPORTS = {"text": RESULTS / "reading.json", "manipulation": RESULTS / "manipulation.json"}
 
 BOTH = ("--sees", "each")  # a row with the context and one with the ROI alone, as in the paper
 PAPERS = "full,oracle,foveated,centred,round_robin,spatial,temporal,exposure"
@@ -140,11 +146,24 @@ def check(planned: Mapping[str, Sequence[str]]) -> None:
 
 def together(out: Path) -> None:
     """Write tables.md and tables.json of every study in the folder."""
-    known = [name for name in NAMES if (out / f"{name}.json").exists()]
-    whole = {name: json.loads((out / f"{name}.json").read_text()) for name in known}
+    files = {name: out / (all_tasks.NAME if name == "all-tasks" else name) for name in NAMES}
+    known = {name: file for name, file in files.items() if file.with_suffix(".json").exists()}
+    whole = {n: json.loads(file.with_suffix(".json").read_text()) for n, file in known.items()}
     (out / "tables.json").write_text(json.dumps(whole, indent=1) + "\n")
-    texts = [f"## {NAMES[name]}\n\n{(out / f'{name}.md').read_text()}" for name in known]
+    texts = [f"## {NAMES[n]}\n\n{file.with_suffix('.md').read_text()}" for n, file in known.items()]
     (out / "tables.md").write_text("\n".join(texts))
+
+
+def reports_of(out: Path, given: Mapping[str, Path | None]) -> dict[str, Path]:
+    """Return the report of each task: the one given, this folder's of tracking, the committed ones.
+
+    Raises `SettingsError` where a given one is missing.
+    """
+    known = {"tracking": out / "budgets.json", **REPORTS}
+    if missing := [path for path in given.values() if path and not path.is_file()]:
+        raise SettingsError(f"{missing[0]}: expected a report of fovea eval, got no such file")
+    found = {task: given.get(task) or path for task, path in known.items()}
+    return {task: path for task, path in found.items() if path.is_file()}
 
 
 @click.command(cls=Bench, help=(__doc__ or "").split("\n", 1)[0])
@@ -155,6 +174,9 @@ def together(out: Path) -> None:
 @click.option("--ablation", multiple=True, help="NAME=FILE.onnx of operators.policy.train --use")
 @click.option("--far", default="", help="FILE.onnx of a policy that was trained for late plans")
 @click.option("--tracker", default="", help="as for fovea eval tracking; else the graph's own")
+@click.option("--tracking", type=Path, help="of all tasks: another report than the folder's own")
+@click.option("--text", type=Path, help="the same of fovea eval text; else the committed report")
+@click.option("--manipulation", type=Path, help="the same of fovea eval manipulation")
 @click.option("--only", multiple=True, type=click.Choice(list(NAMES)))
 @click.option("--quick", is_flag=True, help="one short clip, to try whether everything works")
 @click.option("--jobs", default=2, show_default=True)
@@ -166,6 +188,9 @@ def main(
     ablation: tuple[str, ...],
     far: str,
     tracker: str,
+    tracking: Path | None,
+    text: Path | None,
+    manipulation: Path | None,
     only: tuple[str, ...],
     quick: bool,
     jobs: int,
@@ -173,11 +198,13 @@ def main(
     """See the module."""
     make_folder("out", out)
     wanted = studies(clips, soccernet, ablation, policy, far=far, quick=quick)
-    if missing := sorted(set(only) - set(wanted) - {"run-time"}):
+    if missing := sorted(set(only) - set(wanted) - set(UNPLANNED)):
         raise click.UsageError(
             f"--only {missing[0]}: needs --soccernet, --ablation or --far; with what is given: "
-            f"{', '.join(wanted)}, run-time"
+            f"{', '.join([*wanted, *UNPLANNED])}"
         )
+    reports = {"tracking": tracking, "text": text, "manipulation": manipulation}
+    reports_of(out, reports)
     shared = ["--work", f"{out / 'work'}", "--jobs", str(jobs), "--tracker", tracker, "--states"]
     planned = {n: [*words, *shared] for n, words in wanted.items() if not only or n in only}
     check(planned)
@@ -194,6 +221,9 @@ def main(
         told = {**facts(), "ms": parts, "ms_by_objects": crowds}
         (out / "run-time.json").write_text(json.dumps(told, indent=1) + "\n")
         (out / "run-time.md").write_text(f"{markdown(parts)}\n{by_objects_markdown(crowds)}")
+        together(out)
+    if not only or "all-tasks" in only:
+        all_tasks.write_table(reports_of(out, reports), "ball", out)
         together(out)
 
 

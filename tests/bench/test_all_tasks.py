@@ -10,8 +10,9 @@ from click.testing import CliRunner
 
 pytest.importorskip("matplotlib")
 
-from bench.all_tasks import main
+from bench.all_tasks import write_table
 from bench.results.table import read_table
+from bench.tables import main
 
 TRACKING = {
     "commit": "1234567890", "graph": "tracking.yaml", "clips": ["a", "b"], "seed": 0,
@@ -36,8 +37,8 @@ ROBOT = {
 }  # fmt: skip
 
 
-def made(folder: Path, *, out: str = "out", **reports: Any) -> Any:
-    words = ["--out", str(folder / out)]
+def made(folder: Path, **reports: Any) -> Any:
+    words = ["--out", str(folder / "out"), "--only", "all-tasks"]
     for task, report in reports.items():
         path = folder / f"{task}.json"
         path.write_text(json.dumps(report))
@@ -62,18 +63,43 @@ def test_tasks_stand_beside_one_another_and_beside_the_paper(tmp_path: Path) -> 
     assert (tmp_path / "out" / table.plot).stat().st_size > 5000
 
 
-def test_one_task_alone_is_a_table_too(tmp_path: Path) -> None:
-    result = made(tmp_path, text=TEXT)
+def test_the_table_is_among_the_tables_of_its_folder(tmp_path: Path) -> None:
+    made(tmp_path, tracking=TRACKING, text=TEXT, manipulation=ROBOT)
+
+    assert "| 0.580 \\| 0.283 |" in (tmp_path / "out" / "tables.md").read_text()
+    assert set(json.loads((tmp_path / "out" / "tables.json").read_text())) == {"all-tasks"}
+
+
+def test_without_reports_those_of_the_folder_and_the_committed_ones_are_taken(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "budgets.json").write_text(json.dumps(TRACKING))
+    (tmp_path / "out" / "budgets.md").touch()
+
+    result = made(tmp_path)
 
     assert result.exit_code == 0, result.output
-    assert "text: share read" in result.output
-    assert "ball" not in result.output
+    rows = json.loads((tmp_path / "out" / "all_tasks.json").read_text())["rows"]
+    assert {row[0] for row in rows} == {
+        *("ball: IoU", "text: share read", "insertion: complete", "insertion: partial"),
+    }
+
+
+def test_one_task_alone_is_a_table_too(tmp_path: Path) -> None:
+    path = tmp_path / "text.json"
+    path.write_text(json.dumps(TEXT))
+
+    write_table({"text": path}, "ball", tmp_path)
+
+    text = (tmp_path / "all_tasks.md").read_text()
+    assert "text: share read" in text
+    assert "ball" not in text
 
 
 @pytest.mark.parametrize(
     ("reports", "sentence"),
     [
-        ({}, "expected a report of --tracking, --text or --manipulation, got none"),
         ({"text": [1]}, "expected a report of fovea eval with rows"),
         ({"text": TRACKING}, "--text: expected rows of that task"),
         ({"tracking": TRACKING | {"rows": []}}, "--tracking: expected rows of ball, got none"),
@@ -86,3 +112,12 @@ def test_other_files_are_refused_in_a_sentence(
 
     assert result.exit_code == 1
     assert sentence in result.output
+
+
+def test_a_report_that_is_missing_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
+    words = ["--out", str(tmp_path), "--text", str(tmp_path / "none.json")]
+
+    result = CliRunner().invoke(main, words)
+
+    assert result.exit_code == 1
+    assert "none.json: expected a report of fovea eval, got no such file" in result.output
