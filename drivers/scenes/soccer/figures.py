@@ -22,6 +22,8 @@ TILT = 0.2  # metres by which a point appears lower in the picture per metre tha
 FOLDS = np.random.default_rng(7).normal(0, 0.09, (24, 24)).astype(np.float32)  # of the cloth
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 NAME_SHARE = 0.28  # height of a name, of that of the number below it
+LEAST_CONTRAST = 50  # grey levels between ink and shirt
+LUMA = np.array([0.299, 0.587, 0.114])  # of R, G, B
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +33,7 @@ class Print:
     text: str
     box: tuple[float, float, float, float]
     seen: float = 1.0  # share of its ink that the person's own arms and head leave
+    clear: float = 1.0  # share of the shirt below and around it that has another brightness
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -220,15 +223,24 @@ def _print(drawing: Drawing, look: Look, text: str, at: tuple[int, int], big: fl
     size, thick = big * 0.0115 * drawing.scale, max(1, round(big * 0.042 * drawing.scale))
     (w, h), _ = cv2.getTextSize(text, FONT, size, thick)
     left, low = at[0] - w // 2, at[1] + h // 2
-    cv2.putText(drawing.image, text, (left, low), FONT, size, drawing.rgba(look.ink, 0.1), thick)
+    box = (left, low - h, left + w, low)
+    paint = drawing.rgba(look.ink, 0.1)
+    clear = _clear(_within(drawing.image, box), paint) if drawing.toward < 0 else 1.0
+    cv2.putText(drawing.image, text, (left, low), FONT, size, paint, thick)
     if drawing.toward < 0:
-        box = (left, low - h, left + w, low)
-        drawing.prints.append((Print(text=text, box=box), _within(drawing.image, box).copy()))
+        print_ = Print(text=text, box=box, clear=clear)
+        drawing.prints.append((print_, _within(drawing.image, box).copy()))
 
 
 def _within(image: Image, box: tuple[float, float, float, float]) -> Image:
     x0, y0, x1, y1 = (max(0, int(side)) for side in box)
     return image[y0:y1, x0:x1]
+
+
+def _clear(shirt: Image, ink: tuple[float, ...]) -> float:
+    """Return the share of a shirt (h, w, 4) on which ink stands out: white on white does not."""
+    apart = np.abs((shirt[..., :3] - np.array(ink[:3])) @ LUMA)
+    return float((apart >= LEAST_CONTRAST).mean()) if apart.size else 0.0
 
 
 def _shrunk(print_: Print, drawn: Image, whole: Image, left: int, top: int) -> Print:

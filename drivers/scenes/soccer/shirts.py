@@ -9,6 +9,7 @@ from drivers.source import Annotations
 ILLEGIBLE = "###"  # the label of a text that is not to be scored in this frame
 LEAST_LEGIBLE_PX = 9.0  # height of a text that a reader can read
 LEAST_SEEN = 0.85  # share of a text that must be visible
+LEAST_CLEAR = 0.8  # share of the shirt around it whose brightness must differ from the ink's
 NAME_IDS = 100  # of a name: the id of the person, and this
 
 
@@ -16,15 +17,17 @@ def shirts_of(actors: list[Actor], size_px: tuple[int, int]) -> Annotations:
     """Return boxes, texts and visible shares of what backs show.
 
     The id of a number is that of the person who wears it: once read, it is known as long as the
-    person is followed. Of a number and a name that are too small, or mostly hidden, the label is
-    `ILLEGIBLE`.
+    person is followed. Of a number and a name that are too small, mostly hidden, or on stripes as
+    bright as they are, the label is `ILLEGIBLE`.
     """
     rows = []
     for i, actor in enumerate(actors):
         for print_ in actor.prints:
             seen = print_.seen * _seen(print_.box, actors[i + 1 :], size_px)
             tall = print_.box[3] - print_.box[1]
-            legible = seen >= LEAST_SEEN and tall >= LEAST_LEGIBLE_PX
+            legible = (
+                seen >= LEAST_SEEN and tall >= LEAST_LEGIBLE_PX and print_.clear >= LEAST_CLEAR
+            )
             number = print_.text.isdigit()
             rows.append(
                 (

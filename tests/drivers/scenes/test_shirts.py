@@ -1,12 +1,20 @@
 """What is written on shirts in the whole-pitch scene."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from drivers.scenes import WholePitchScene
 from drivers.scenes.soccer import figures
 from drivers.scenes.soccer.looks import everybody, named
-from drivers.scenes.soccer.shirts import ILLEGIBLE, LEAST_LEGIBLE_PX, NAME_IDS, shirts_of
+from drivers.scenes.soccer.shirts import (
+    ILLEGIBLE,
+    LEAST_CLEAR,
+    LEAST_LEGIBLE_PX,
+    NAME_IDS,
+    shirts_of,
+)
 from drivers.scenes.soccer.skeleton import DIRECTIONS, Pose
 from drivers.scenes.soccer.stage import Actor
 from pipeline.errors import SettingsError
@@ -134,3 +142,23 @@ def test_without_names_the_picture_is_as_before() -> None:
 def test_another_truth_is_refused() -> None:
     with pytest.raises(SettingsError, match="truth_of: expected objects or shirts, got 'names'"):
         WholePitchScene(truth_of="names")
+
+
+def test_white_on_white_stripes_is_not_to_be_scored() -> None:
+    look = everybody(1)[0]
+    white, blue = (245, 245, 245), (20, 30, 70)
+
+    def clear(pattern: str, trim: tuple[int, int, int]) -> float:
+        worn = replace(look, shirt=blue, trim=trim, ink=white, pattern=pattern)
+        pose = Pose(gait="stand", phase=0, direction=BACK)
+        return figures.draw(worn, pose, 400, np.ones(3), 0.0).prints[0].clear
+
+    assert clear("plain", white) > 0.95
+    assert clear("stripes", (200, 30, 40)) > 0.95
+    assert clear("stripes", white) < LEAST_CLEAR
+
+
+def test_a_number_that_does_not_stand_out_is_illegible() -> None:
+    faint = replace(actor().prints[0], clear=LEAST_CLEAR - 0.01)
+
+    assert shirts_of([replace(actor(), prints=(faint,))], SIZE).labels == (ILLEGIBLE,)
