@@ -2,5 +2,6 @@
 
 from operators.reader.ctc import OnnxReader
 from operators.reader.reader import Reader
+from operators.reader.shirts import ShirtReader
 
-__all__ = ["OnnxReader", "Reader"]
+__all__ = ["OnnxReader", "Reader", "ShirtReader"]

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -51,11 +51,14 @@ class OnnxReaderSettings(NetworkSettings):
         check_reader(self.reads, self.least_score, self.threads, self.forget_after)
 
 
-class OnnxReader(TextReader[OnnxReaderSettings]):
-    """Reads the tracks that are in the picture."""
+S = TypeVar("S", bound=OnnxReaderSettings)
+
+
+class LineReader(TextReader[S]):
+    """Reads lines of text at known places; a class for one kind of place implements `read`."""
 
     @classmethod
-    def advise(cls, settings: OnnxReaderSettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+    def advise(cls, settings: S, upstream: Mapping[str, Any]) -> Iterable[str]:
         """Nothing; raises `WeightsError` for a network that reads no lines."""
         recogniser_of(settings)
         return ()
@@ -69,6 +72,10 @@ class OnnxReader(TextReader[OnnxReaderSettings]):
     def runs_on(self) -> str:
         """The provider of the network."""
         return self._recogniser.provider
+
+
+class OnnxReader(LineReader[OnnxReaderSettings]):
+    """Reads the tracks that are in the picture."""
 
     def read(self, frame: Frame) -> list[Reading]:
         """Read each track that the picture shows nearly whole, the surest first."""

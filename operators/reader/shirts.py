@@ -1,0 +1,97 @@
+"""Read what persons wear: ROI and tracks -> Percept with the texts that this exposure shows.
+
+A detector of texts does not see a number of three pixels in the context, and PP-OCR's own passes
+over one or two digits between arms. Where persons are is known, though, and so is where a shirt
+has its number: that part of each person's box is read as one line.
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.reader.ctc import LineReader, OnnxReaderSettings, cut, in_picture
+from operators.reader.instances import Instances
+from operators.reader.ocr import Reading
+from pipeline import Frame, SettingsError, Tracks
+from pipeline.boxes import covered
+
+NUMBERS = "[1-9][0-9]?"
+LEAST_PX = 5.0  # height of a line in the picture: nothing smaller is read
+MOST_PERSONS = 32  # read in one frame
+INSIDE = 0.95  # share of the part that the picture must show
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShirtReaderSettings(OnnxReaderSettings):
+    """What a graph may set; `forget_after` has no meaning, as nothing is kept."""
+
+    # left, top, right, low of what is read, shares of a person's box
+    part: tuple[float, float, float, float] = (0.26, 0.30, 0.74, 0.46)
+    pattern: str = NUMBERS  # a regular expression that a whole text must match; empty: any text
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        left, top, right, low = self.part
+        if not (0 <= left < right <= 1 and 0 <= top < low <= 1):
+            raise SettingsError(
+                f"part: expected left, top, right, low within 0..1, got {list(self.part)}"
+            )
+        try:
+            re.compile(self.pattern)
+        except re.error as error:
+            raise SettingsError(f"pattern: expected a regular expression: {error}") from error
+
+
+class ShirtReader(LineReader[ShirtReaderSettings]):
+    """Reads each person in the picture anew; nothing is collected: persons move.
+
+    `operators.name_tracks:NameTracks` binds the readings to tracks and keeps them.
+    """
+
+    def open(self) -> None:
+        """Load the network."""
+        super().open()
+        self.forget_after = 0
+        self._instances = Instances(self.forget_after)
+        self._wanted = re.compile(self.settings.pattern or ".*")
+
+    def read(self, frame: Frame) -> list[Reading]:
+        """Read the persons that the picture shows, the largest first."""
+        if self._tracks is None or not len(self._tracks.ids):
+            return []
+        parts = parts_of(boxes_at(self._tracks, frame.header.seq), self.settings.part)
+        shown = covered(parts, np.array(frame.window, np.float32)) >= INSIDE
+        scale = frame.pixels.shape[0] / (frame.window[3] - frame.window[1])
+        tall = parts[:, 3] - parts[:, 1]
+        rows = np.flatnonzero(shown & (tall * scale >= LEAST_PX))
+        rows = rows[np.argsort(-tall[rows], kind="stable")][:MOST_PERSONS]
+        pixels = np.asarray(frame.pixels, np.uint8)
+        found = []
+        for row in rows:
+            box = in_picture(parts[row], frame)
+            text, score = self._recogniser(cut(pixels, box))
+            if score >= self.settings.least_score and text and self._wanted.fullmatch(text):
+                left, top, right, low = box.tolist()
+                found.append(Reading(text=text, score=score, box=(left, top, right, low)))
+        return found
+
+
+def boxes_at(tracks: Tracks, seq: int) -> NDArray[np.float32]:
+    """Return the boxes (n, 4) of tracks in a frame, foreseen where the tracks are older."""
+    ahead = min(seq - tracks.header.seq, tracks.predicted.shape[1])
+    return tracks.predicted[:, ahead - 1] if ahead > 0 else tracks.boxes[:, -1]
+
+
+def parts_of(
+    boxes: NDArray[np.float32], part: tuple[float, float, float, float]
+) -> NDArray[np.float32]:
+    """Return a part of each box (n, 4), given as shares of its sides.
+
+    >>> parts_of(np.array([[0, 0, 10, 20]], np.float32), (0.1, 0.5, 0.9, 1)).tolist()
+    [[1.0, 10.0, 9.0, 20.0]]
+    """
+    sides = boxes[:, 2:] - boxes[:, :2]
+    found = np.tile(boxes[:, :2], 2) + np.tile(sides, 2) * np.array(part)
+    return found.astype(np.float32)
