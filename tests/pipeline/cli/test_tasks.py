@@ -72,7 +72,7 @@ def test_words_after_the_task_are_handed_on(capsys: pytest.CaptureFixture[str]) 
 def test_without_a_task_the_known_ones_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     task_command("eval", "score").main([], standalone_mode=False)
 
-    assert "tasks: acting, manipulation, text, tracking" in capsys.readouterr().out
+    assert "tasks: acting, manipulation, shirts, text, tracking" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("word", ["-h", "--help"])

@@ -1,0 +1,1 @@
+"""Shirt numbers of a whole pitch: who was read, and whether the name stayed with the right one."""
