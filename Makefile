@@ -23,7 +23,8 @@ HEADLESS = $(PIP) --force-reinstall --no-deps opencv-python-headless
 SHARED ?= ../shared
 
 # what `make demo` runs: make demo GRAPH=follow SOURCE=webcam SET=policy.target=dog
-# or another task: make demo TASK=text reads a street, TASK=manipulation inserts a peg
+# or another task: make demo TASK=text reads a street, TASK=shirts the numbers of a whole pitch,
+# TASK=manipulation inserts a peg
 TASK ?= tracking
 GRAPH ?= $(TASK)
 SOURCE ?=
@@ -41,7 +42,8 @@ DEVICE ?= auto
 # where pip finds torch: PyPI's own needs 5 GB of CUDA on Linux; for a GPU …/whl/cu130
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-demo: $(VENV)/.installed $(patsubst %,$(VENV)/.installed-%,$(filter text manipulation,$(TASK) $(GRAPH)))
+demo: $(VENV)/.installed $(patsubst %,$(VENV)/.installed-%,\
+		$(subst shirts,text,$(filter text shirts manipulation,$(TASK) $(GRAPH))))
 	$(BIN)/fovea run graphs/$(GRAPH).yaml --duration-s 20 --save demo.rrd \
 		$(if $(SOURCE),--source $(SOURCE)) $(foreach change,$(SET),--set $(change))
 	@echo "look at it: $(BIN)/rerun demo.rrd"

@@ -65,6 +65,14 @@ PLACES = {
         section="Reading under a pixel budget", order=1,
         title="Texts of a street that a frozen reader transcribes, by strategy and budget",
     ),
+    "shirts": Place(
+        section="Reading under a pixel budget", order=2,
+        title="Shirt numbers of a whole pitch, and whether they stay with their players",
+    ),
+    "shirts_stages": Place(
+        section="Reading under a pixel budget", order=3,
+        title="Where a shirt number is lost on the way to a reader",
+    ),
     "manipulation": Place(
         section="Manipulation under a pixel budget", order=1,
         title="A robot's insertion by a frozen consumer, by strategy and budget",

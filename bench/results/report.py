@@ -263,5 +263,5 @@ def _scalars(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
 
 FORMS: Mapping[str, Callable[[Report], list[str]]] = {
     "follow": _follow, "soak": _soak, "watching": _watching,
-    "reading": _strategies, "manipulation": _strategies,
+    "reading": _strategies, "shirts": _strategies, "manipulation": _strategies,
 }  # fmt: skip
