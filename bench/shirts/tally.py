@@ -8,6 +8,7 @@ counts: the track on it may have the right number, another one, or none.
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.source import Annotations
 from operators.transcribed import ILLEGIBLE
@@ -97,7 +98,9 @@ def on_people(percept: Percept, people: Annotations) -> Percept:
     """Return an answer with the boxes of the people on whom its texts are; others are left out."""
     true = people.boxes.astype(np.float32)
     middle = centres(percept.boxes)[:, None]
-    inside = ((middle >= true[None, :, :2]) & (middle <= true[None, :, 2:])).all(2)
+    inside: NDArray[np.bool_] = np.all(
+        (middle >= true[None, :, :2]) & (middle <= true[None, :, 2:]), axis=2
+    )
     rows = np.flatnonzero(inside.sum(1) == 1)
     return replace(
         percept,

@@ -118,18 +118,15 @@ class NameTracks(Operator[NameTracksSettings, Percept]):
         for percept in (each for each in waiting if each.header.seq <= seq):
             self._bind(percept, tracks)
         self._persons = settled(self._persons, least=s.votes, colour=s.colour)
-        rows, texts, scores = [], [], []
-        for row, each in enumerate(self._persons[: len(tracks.ids)]):
-            text, score = each.said(s.votes)
-            if text:
-                rows, texts, scores = [*rows, row], [*texts, text], [*scores, score]
+        said = [each.said(s.votes) for each in self._persons[: len(tracks.ids)]]
+        rows = np.array([row for row, (text, _) in enumerate(said) if text], np.intp)
         self._named = len(rows)
         return Percept(
             header=tracks.header,
-            boxes=tracks.boxes[rows, -1].reshape(-1, 4),
+            boxes=tracks.boxes[rows, -1],
             ids=tracks.ids[rows],
-            scores=np.array(scores, np.float32),
-            texts=tuple(texts),
+            scores=np.array([said[row][1] for row in rows], np.float32),
+            texts=tuple(said[row][0] for row in rows),
         )
 
     def _bind(self, percept: Percept, tracks: Tracks) -> None:

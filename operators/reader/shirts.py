@@ -94,4 +94,4 @@ def parts_of(
     """
     sides = boxes[:, 2:] - boxes[:, :2]
     found = np.tile(boxes[:, :2], 2) + np.tile(sides, 2) * np.array(part)
-    return found.astype(np.float32)
+    return np.asarray(found, np.float32)
