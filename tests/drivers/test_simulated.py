@@ -9,6 +9,7 @@ import pytest
 
 from drivers.sensor import Exposure
 from drivers.simulated import SimulatedSensor, SimulatedSensorSettings
+from drivers.simulated.simulated import MOST_LABELS
 from pipeline.errors import DriverError, PoolExhausted
 from tests.drivers.contract import check_sensor, command, memory, read, refuse, started
 from tests.drivers.moving_square import MovingSquare
@@ -187,6 +188,17 @@ def test_the_headline_states_the_share_inside_the_roi_where_it_is_known() -> Non
     assert seen.summary()["headline"] == "share of the true boxes inside the ROI: ball 100.0%"
     assert "headline" not in unread.summary()  # nothing was read of it
     assert "headline" not in whole.summary()  # there is no ROI
+
+
+def test_of_many_labels_the_headline_states_the_mean() -> None:
+    seen = sensor(strategy="oracle")
+    play(seen)
+    for number in range(MOST_LABELS):
+        seen._coverage._sums[f"text {number}"], seen._coverage._frames[f"text {number}"] = 1.0, 2
+
+    line = seen.summary()["headline"]
+
+    assert line == "share of the true boxes inside the ROI: 55.6%, the mean of 9 labels"
 
 
 def test_a_longer_exposure_is_the_mean_of_its_frames() -> None:
