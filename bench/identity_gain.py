@@ -4,8 +4,8 @@ Under one ROI and many objects the consumer is `operators.identity`, and a look 
 adds to knowing who is who. `GreedyPolicy` has a stand-in for that: the time since the last look, by
 the doubt about who it is. Here the gain itself is measured. The tracks of drawn matches are those
 of the graph's perception, and a sensor that could show everybody shows each person in a share of
-the frames, drawn at random. Each kind of look, by what identity knows of the track at that moment,
-is left out once: the AssA that is lost is its gain.
+the frames, drawn at random. The looks of each kind, by what identity knows of the track at that
+moment, are left out once: the AssA that is lost is their gain.
 
 Printed by kind, beside the stand-in of the same looks, and the rank correlation over kinds.
 """
@@ -74,8 +74,14 @@ class Outcome:
     """What the identities came to, and the looks that they had."""
 
     association: float  # AssA of people
-    counts: NDArray[np.int64]  # (KINDS,) looks
+    kinds: Mapping[int, NDArray[np.int64]]  # by frame, of each of the features; -1: not given
     stand_in: NDArray[np.float64]  # (KINDS,) sums of the stand-in's value of these looks
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Looks of each kind: (KINDS,)."""
+        every = np.concatenate([np.zeros(0, np.int64), *self.kinds.values()])
+        return np.bincount(every[every >= 0], minlength=len(KINDS))
 
 
 def looks_of(seed: int, frames: int) -> Looks:
@@ -100,10 +106,12 @@ def drawn(looks: Looks, share: float, seed: int) -> Looks:
     """Return a share of the looks, drawn at random."""
     rng = np.random.default_rng([seed, 1])
     shown = {k: rng.random(len(looks.shown[k])) < share for k in sorted(looks.shown)}
-    return replace(looks, shown=shown)
+    return _only(looks, shown)
 
 
-def kinds_of(people: People, rows: NDArray[np.int64], ages: NDArray[np.int64], looks: int) -> Any:
+def kinds_of(
+    people: People, rows: NDArray[np.int64], ages: NDArray[np.int64], looks: int
+) -> NDArray[np.int64]:
     """Return the kind, an index of `KINDS`, of a look at each of these identities: (m,).
 
     `ages` are frames since the last look (m,), `looks` those after which identity decides.
@@ -113,43 +121,55 @@ def kinds_of(people: People, rows: NDArray[np.int64], ages: NDArray[np.int64], l
     return np.where(people.mixed[rows], 0, np.where(people.doubtful[rows], doubtful, sure))
 
 
-def outcome_of(looks: Looks, given: Sequence[int]) -> Outcome:
-    """Return what becomes of the identities if only looks of these kinds are given."""
+def outcome_of(looks: Looks) -> Outcome:
+    """Return what becomes of the identities with the looks that are shown."""
     operator, stand_in = Identity(looks.identity), GreedyPolicySettings()
     operator.open()
     last: dict[int, int] = {}  # frame of the last look, by track
-    named = {}
-    counts, values = np.zeros(len(KINDS), np.int64), np.zeros(len(KINDS))
+    named, found = {}, {}
+    values = np.zeros(len(KINDS))
     for frame, tracks in looks.tracks.items():
         named[frame] = operator.on_tracks(tracks)
         people, seen = operator.state(), looks.features[frame]
-        rows = people.rows_of(seen.ids)
-        ages = np.array([frame - last.setdefault(int(i), frame - NEW_AGE) for i in seen.ids], int)
+        every = people.rows_of(seen.ids)
+        given = np.flatnonzero(looks.shown[frame] & (every >= 0))
+        rows, ids = every[given], seen.ids[given]
+        ages = np.array([frame - last.get(int(i), frame - NEW_AGE) for i in ids], np.int64)
         kinds = kinds_of(people, rows, ages, looks.identity.looks)
-        kept = looks.shown[frame] & np.isin(kinds, given) & (rows >= 0)
-        own = rows[kept]
-        fresh = np.where(people.doubtful[own], people.fresh_looks[own], stand_in.looks)
-        np.add.at(counts, kinds[kept], 1)
-        np.add.at(values, kinds[kept], worth(ages[kept], fresh, people.mixed[own], stand_in))
-        last |= {int(i): frame for i in seen.ids[kept]}
-        parts = {name: getattr(seen, name)[kept] for name in ("ids", "features", "genuine")}
+        fresh = np.where(people.doubtful[rows], people.fresh_looks[rows], stand_in.looks)
+        np.add.at(values, kinds, worth(ages, fresh, people.mixed[rows], stand_in))
+        found[frame] = np.full(len(seen.ids), -1, np.int64)
+        found[frame][given] = kinds
+        last |= {int(i): frame for i in ids}
+        parts = {name: getattr(seen, name)[given] for name in ("ids", "features", "genuine")}
         operator.on_features(altered(seen, **parts))
     association = scored(looks.clip, named, "people")["AssA"]
-    return Outcome(association=association, counts=counts, stand_in=values)
+    return Outcome(association=association, kinds=found, stand_in=values)
 
 
 def measured(looks: Looks) -> dict[str, Any]:
-    """Return AssA of a clip with all looks and with none, and what each kind left out loses."""
-    every = range(len(KINDS))
-    whole, nothing = outcome_of(looks, every), outcome_of(looks, ())
-    without = [outcome_of(looks, [k for k in every if k != kind]) for kind in every]
+    """Return AssA of a clip with all looks and with none, and what each kind left out loses.
+
+    Left out are the looks that are of a kind when all are given: what they would have decided is
+    then decided by the next looks at the same track, if any.
+    """
+    whole = outcome_of(looks)
+    nothing = outcome_of(_only(looks, {k: np.zeros_like(m) for k, m in looks.shown.items()}))
+    lost = []
+    for kind in range(len(KINDS)):
+        kept = {k: looks.shown[k] & (whole.kinds[k] != kind) for k in looks.shown}
+        lost.append(whole.association - outcome_of(_only(looks, kept)).association)
     return {
         "all": whole.association,
         "none": nothing.association,
         "counts": whole.counts,
         "stand_in": whole.stand_in,
-        "lost": np.array([whole.association - each.association for each in without]),
+        "lost": np.array(lost),
     }
+
+
+def _only(looks: Looks, shown: Mapping[int, Mask]) -> Looks:
+    return replace(looks, shown=shown)
 
 
 def rows_of(clips: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -174,10 +194,10 @@ def rows_of(clips: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def correlation_of(rows: Sequence[Mapping[str, Any]]) -> float | None:
     """Return the rank correlation, over kinds that occurred, of gain by look and stand-in.
 
-    None where all gains are equal.
+    None where all gains, or all stand-ins, are equal.
     """
     own = [(row["by 1,000"], row["stand-in"]) for row in rows if row["a clip"]]
-    if len({gain for gain, _ in own}) < 2:
+    if any(len(set(values)) < 2 for values in zip(*own, strict=True)):
         return None
     return round(float(spearmanr(*zip(*own, strict=True)).statistic), 3)
 
@@ -195,6 +215,7 @@ def main(clips: int, frames: int, seed: int, shares: str, path: Path | None) -> 
     for number in track(range(seed, seed + clips), "clips", console=Console(stderr=True)):
         looks = looks_of(number, frames)
         found.append([measured(drawn(looks, share, number)) for share in tried])
+        looks.clip.close()
     by_share, rows = [], []
     for row, share in enumerate(tried):
         own = [each[row] for each in found]

@@ -67,17 +67,29 @@ def clip_of_two() -> Looks:
     )
 
 
-def test_looks_join_interrupted_tracks_and_those_that_decide_are_what_gains() -> None:
+def test_looks_join_interrupted_tracks_and_those_in_doubt_are_what_gains() -> None:
     found = measured(clip_of_two())
 
     assert found["all"] > found["none"] + 0.1
     lost = dict(zip(KINDS, found["lost"], strict=True))
-    assert lost.pop("in doubt, a look that decides") == pytest.approx(found["all"] - found["none"])
-    assert max(lost.values()) == pytest.approx(0)
+    assert lost.pop("in doubt, a look that decides") > 0
+    assert lost.pop("in doubt, a later look") >= 0
+    assert max(np.abs(list(lost.values()))) == pytest.approx(0)
+
+
+def test_only_looks_that_were_of_a_kind_are_left_out() -> None:
+    whole = clip_of_two()
+    kinds = outcome_of(whole).kinds
+    without = replace(whole, shown={k: whole.shown[k] & (kinds[k] != 1) for k in whole.shown})
+
+    given = sum(int(mask.sum()) for mask in whole.shown.values())
+    assert outcome_of(whole).counts.sum() == given
+    assert outcome_of(without).counts.sum() == given - outcome_of(whole).counts[1]
 
 
 def test_without_looks_nothing_is_counted() -> None:
-    found = outcome_of(clip_of_two(), ())
+    whole = clip_of_two()
+    found = outcome_of(replace(whole, shown={k: ~mask for k, mask in whole.shown.items()}))
 
     assert found.counts.sum() == 0
     assert found.stand_in.sum() == 0
