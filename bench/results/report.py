@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from bench.bus import CONTESTANTS
 from bench.results.markdown import cell, lines, table, table_of
 from bench.results.places import ELSEWHERE, PLACES, Place
 from bench.results.table import ResultError
@@ -15,6 +16,7 @@ from bench.results.table import ResultError
 T = TypeVar("T")
 LONGEST_LIST = 12  # values of a list that are shown in one cell
 LONGEST_INTERVAL = 2
+LABELS = {contestant.module: contestant.label for contestant in CONTESTANTS}
 PLAIN = (str, int, float, type(None))
 
 
@@ -85,6 +87,31 @@ class Watching(msgspec.Struct, frozen=True):
 
 
 SHAPES: Mapping[str, type[msgspec.Struct]] = {"follow": Ends, "soak": Soak, "watching": Watching}
+
+
+class Beyond(msgspec.Struct, frozen=True):
+    """Milliseconds beyond writing and reading every byte."""
+
+    p50: float
+    p99: float
+
+
+class Hop(msgspec.Struct, frozen=True):
+    """What is shown of a contestant of `bench.bus` at one size."""
+
+    contestant: str
+    nbytes: int
+    lost: int
+    beyond_ms: Beyond
+
+
+class Bus(msgspec.Struct, frozen=True):
+    """What is shown of `bench.bus`."""
+
+    figures: list[Hop]
+    rounds: int
+    count_per_round: int
+    rate_hz: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +206,7 @@ def _soak(report: Report) -> list[str]:
 
 def _watching(report: Report) -> list[str]:
     """Return Markdown of how the graph ran by how it was watched: median (least to greatest)."""
-    found = msgspec.convert(report.values, Watching)
+    found = _convert(report.path, report.values, Watching)
     columns = list(dict.fromkeys(name for row in found.summary.values() for name in row))
     rows = [
         [how, *(row[name].told if name in row else "–" for name in columns)]
@@ -187,6 +214,30 @@ def _watching(report: Report) -> list[str]:
     ]
     about = f"{found.n} rounds of {found.frames} frames of {found.graph}; the order is random."
     return [about, table(["watched by", *(name.replace("_", " ") for name in columns)], rows)]
+
+
+def _bus(report: Report) -> list[str]:
+    """Return Markdown of one hop: a row for each size, a column for each transport."""
+    found = _convert(report.path, report.values, Bus)
+    hops = {(hop.nbytes, hop.contestant): hop for hop in found.figures}
+    shown = {hop.contestant for hop in found.figures}
+    names = [name for name in LABELS if name in shown] + sorted(shown - LABELS.keys())
+    rows = []
+    for nbytes in sorted({hop.nbytes for hop in found.figures}):
+        own = [hops.get((nbytes, name)) for name in names]
+        rows.append([f"{nbytes / 1e6:.2g} MB", *(_hop(hop) for hop in own)])
+    about = (
+        f"ms beyond writing and reading every byte, p50 / p99, in {found.rounds} rounds of "
+        f"{found.count_per_round} messages at {found.rate_hz:g} Hz."
+    )
+    return [about, table(["payload", *(LABELS.get(name, name) for name in names)], rows)]
+
+
+def _hop(hop: Hop | None) -> str:
+    if hop is None:
+        return "–"
+    lost = f", {hop.lost} lost" if hop.lost else ""
+    return f"{hop.beyond_ms.p50:.2f} / {hop.beyond_ms.p99:.2f}{lost}"
 
 
 def _spans(values: Mapping[str, Any]) -> list[str]:
@@ -262,6 +313,6 @@ def _scalars(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
 
 
 FORMS: Mapping[str, Callable[[Report], list[str]]] = {
-    "follow": _follow, "soak": _soak, "watching": _watching,
+    "follow": _follow, "soak": _soak, "watching": _watching, "bus": _bus,
     "reading": _strategies, "shirts": _strategies, "manipulation": _strategies,
 }  # fmt: skip

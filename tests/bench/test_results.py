@@ -157,3 +157,27 @@ def test_a_soak_shows_its_verdict_its_memory_and_its_minutes(tmp_path: Path) -> 
     assert "| capture | 1 | 3 | 2 |" in written
     assert "| ball | iou | 0.3 | 0.3 | 0.3 |" in written
     assert "| 0 | ball | 0.25 |" in written
+
+
+def test_a_hop_shows_each_transport_at_each_size(tmp_path: Path) -> None:
+    hop = {"nbytes": 65_536, "lost": 0, "beyond_ms": {"min": 0.1, "p50": 0.25, "p99": 1.5}}
+    figures = [
+        {**hop, "contestant": "zenoh_bytes", "lost": 3},
+        {**hop, "contestant": "fovea_bus"},
+        {**hop, "contestant": "fovea_bus", "nbytes": 2_341_920},
+    ]
+    report = {**ORIGIN, "bench": "bus", "rounds": 2, "count_per_round": 30, "rate_hz": 30.0}
+    (tmp_path / "bus.json").write_text(json.dumps({**report, "figures": figures}))
+
+    written = page(tmp_path)
+
+    assert "| payload | fovea | zenoh, bytes |" in written
+    assert "| 0.066 MB | 0.25 / 1.50 | 0.25 / 1.50, 3 lost |" in written
+    assert "| 2.3 MB | 0.25 / 1.50 | – |" in written
+
+
+def test_a_hop_without_its_figures_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "bus.json").write_text(json.dumps({**ORIGIN, "bench": "bus", "figures": [{}]}))
+
+    with pytest.raises(ResultError, match=r"^bus\.json: "):
+        page(tmp_path)
