@@ -6,7 +6,7 @@ The only module that imports ONNX Runtime.
 import hashlib
 import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -107,11 +107,18 @@ class Bound:
         """`memory`: cuda, or cpu for the host's; `number`: of the device."""
         self._session, self._memory, self._number = session, memory, number
         self._binding = session.io_binding()
+        self._inputs = {given.name for given in session.get_inputs()}
         self._outputs = [output.name for output in session.get_outputs()]
         self._places: dict[str, tuple[tuple[int, ...], np.dtype[Any], onnxruntime.OrtValue]] = {}
 
     def __call__(self, feeds: Mapping[str, NDArray[Any]]) -> list[Any]:
-        """Return the outputs in their order; raises what the library raises."""
+        """Return the outputs in their order; raises what the library raises.
+
+        Raises `ValueError` unless every input is given and nothing else: what is still bound from
+        an earlier call would be computed with.
+        """
+        if feeds.keys() != self._inputs:
+            raise ValueError(f"expected inputs {_named(self._inputs)}, got {_named(feeds)}")
         for name, array in feeds.items():
             self._put(name, np.ascontiguousarray(array))
         self._binding.clear_binding_outputs()  # else the next call would write into these
@@ -126,8 +133,8 @@ class Bound:
             place = onnxruntime.OrtValue.ortvalue_from_shape_and_type(
                 array.shape, array.dtype, self._memory, self._number
             )
-            self._places[name] = array.shape, array.dtype, place
             self._binding.bind_ortvalue_input(name, place)
+            self._places[name] = array.shape, array.dtype, place
         place.update_inplace(array)
 
 
@@ -207,6 +214,10 @@ def _cache_of(path: Path, name: str) -> Path | None:
 
 def _single(array: NDArray[Any]) -> NDArray[Any]:
     return array.astype(np.float32) if array.dtype == np.float16 else array
+
+
+def _named(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)) or "none"
 
 
 def _shapes(feeds: Mapping[str, NDArray[Any]]) -> str:

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pytest
+from numpy.typing import NDArray
 
+from pipeline.errors import WeightsError
 from pipeline.inference import Bound, Network
 from pipeline.providers import memory_of
 
@@ -63,6 +65,35 @@ def test_what_a_bound_network_cannot_compute_leaves_it_usable() -> None:
         bound({"images": np.zeros((1, 4, 64, 128), np.float32)})
 
     assert (bound({"images": picture})[0] == expected).all()
+
+
+PICTURE = np.zeros((1, 3, 64, 128), np.float32)
+
+
+@pytest.mark.parametrize("is_bound", [True, False])
+@pytest.mark.parametrize("calls_before", [0, 1])
+@pytest.mark.parametrize(
+    ("feeds", "reason"),
+    [
+        ({}, "images"),
+        ({"other": PICTURE}, "images"),
+        ({"images": PICTURE, "other": PICTURE}, "other"),
+    ],
+)
+def test_a_missing_or_unknown_input_is_refused_at_every_call(
+    feeds: dict[str, NDArray[np.float32]], reason: str, calls_before: int, is_bound: bool
+) -> None:
+    network = Network(DETECTOR, provider="cpu")
+    if is_bound:  # as with a provider that has its own memory
+        network._run = Bound(network._session, "cpu", 0)
+    for _ in range(calls_before):
+        network({"images": PICTURE})
+
+    for _ in range(2):
+        with pytest.raises(WeightsError, match=f"cannot run on .*: .*{reason}"):
+            network(feeds)
+
+    assert network({"images": PICTURE})
 
 
 @pytest.mark.parametrize(
