@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pipeline.boxes import iou
 from pipeline.errors import WeightsError
 from pipeline.extras import need
+from pipeline.providers import PROVIDERS
 from pipeline.text import harmless
 
 Picture = NDArray[np.uint8]
@@ -36,7 +37,10 @@ class Reading:
 
 
 class PaddleOcr:
-    """PP-OCR; it never enlarges a picture, so that what is unreadable stays so."""
+    """PP-OCR; it never enlarges a picture, so that what is unreadable stays so.
+
+    The attribute `provider` says what computes its networks, by our names.
+    """
 
     def __init__(
         self, *, threads: int = 1, least_score: float = 0.5, detection: str = "",
@@ -64,6 +68,7 @@ class PaddleOcr:
             blank = np.zeros((48, 96, 3), np.uint8)
             for finds in (False, True):  # it loads its networks at first use
                 self._engine(blank, use_det=finds, use_cls=False, use_rec=True)
+            self.provider = provider_of(self._engine)
         except Exception as error:  # it raises what its parts raise
             why = harmless(str(error), MOST_REASON)
             raise WeightsError(f"reader: PP-OCR does not load: {why}") from error
@@ -95,6 +100,14 @@ class PaddleOcr:
             if clean and np.isfinite(score):
                 made.append(Reading(text=clean, score=float(np.clip(score, 0, 1)), box=box))
         return made
+
+
+def provider_of(engine: Any) -> str:
+    """Return what the loaded networks run on; of two, each once, as in `cuda, cpu`."""
+    short = {full: name for name, (full, _) in PROVIDERS.items()}
+    parts = (engine.text_det, engine.text_rec)
+    first = [part.session.session.get_providers()[0] for part in parts]
+    return ", ".join(dict.fromkeys(short.get(full, full) for full in first))
 
 
 def check_files(**networks: str) -> None:

@@ -186,6 +186,10 @@ class Reader(TextReader[ReaderSettings]):
             recognition=s.recognition,
         )  # fmt: skip
 
+    def runs_on(self) -> str:
+        """What computes the networks: rapidocr's choice, no setting of this node."""
+        return self._ocr.provider
+
     def read(self, frame: Frame) -> list[Reading]:
         """Return the texts in a picture."""
         return self._ocr(np.asarray(frame.pixels, np.uint8))

@@ -1,6 +1,7 @@
 """The reader on drawn texts, with the real PP-OCR."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ pytest.importorskip("rapidocr")
 
 from operators.reader import OnnxReader, Reader
 from operators.reader.ctc import OnnxReaderSettings
-from operators.reader.ocr import LONGEST_SIDE_PX, PaddleOcr, starts
+from operators.reader.ocr import LONGEST_SIDE_PX, PaddleOcr, provider_of, starts
 from operators.reader.reader import ReaderSettings
 from pipeline import Frame, Header, Percept, SettingsError, Tracks
 from pipeline.errors import MessageError, WeightsError
@@ -84,6 +85,17 @@ def test_a_text_stays_known_when_the_roi_looks_elsewhere(reader: Reader) -> None
 
     assert set(later.texts) == {"BAKERY", "HOTEL"}
     assert later.ids[later.texts.index("BAKERY")] == first.ids[0]
+
+
+def test_what_computes_the_networks_is_what_their_sessions_use(
+    reader: Reader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ocr = reader._ocr
+    recogniser = SimpleNamespace(get_providers=lambda: ["CUDAExecutionProvider", "none"])
+
+    assert reader.runs_on() == "cpu"
+    monkeypatch.setattr(ocr._engine.text_rec.session, "session", recogniser)
+    assert provider_of(ocr._engine) == "cpu, cuda"
 
 
 def test_without_a_roi_nothing_is_read_unless_the_context_is_asked_for() -> None:
