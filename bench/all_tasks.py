@@ -93,7 +93,7 @@ def cells_of(task: str, report: Mapping[str, Any], target: str) -> list[Cell]:
     read = {"tracking": _of_tracking, "text": _of_text, "manipulation": _of_manipulation}[task]
     try:
         found = [cell for row in report["rows"] for cell in read(row, target)]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError) as error:  # such as a budget of 1/0
         raise SettingsError(f"--{task}: expected rows of that task, got {error!r}") from error
     if not found:
         raise SettingsError(f"--{task}: expected rows of {target}, got none")

@@ -53,6 +53,7 @@ NAMES = {
 UNPLANNED = ("run-time", "all-tasks")  # no studies of `fovea eval tracking`
 RESULTS = Path(__file__).with_name("results")
 REPORTS = {"text": RESULTS / "reading.json", "manipulation": RESULTS / "manipulation.json"}
+TARGET = "ball"  # of tracking, in the table of all tasks
 
 BOTH = ("--sees", "each")  # a row with the context and one with the ROI alone, as in the paper
 PAPERS = "full,oracle,foveated,centred,round_robin,spatial,temporal,exposure"
@@ -154,14 +155,22 @@ def together(out: Path) -> None:
     (out / "tables.md").write_text("\n".join(texts))
 
 
+def check_reports(given: Mapping[str, Path | None]) -> None:
+    """Raise `SettingsError` for a given report that is missing or not of its task."""
+    for task, path in given.items():
+        if path is None:
+            continue
+        if not path.is_file():
+            raise SettingsError(f"{path}: expected a report of fovea eval, got no such file")
+        all_tasks.cells_of(task, all_tasks.read_report(path), TARGET)
+
+
 def reports_of(out: Path, given: Mapping[str, Path | None]) -> dict[str, Path]:
     """Return the report of each task: the one given, this folder's of tracking, the committed ones.
 
-    Raises `SettingsError` where a given one is missing.
+    What is not there is left out.
     """
     known = {"tracking": out / "budgets.json", **REPORTS}
-    if missing := [path for path in given.values() if path and not path.is_file()]:
-        raise SettingsError(f"{missing[0]}: expected a report of fovea eval, got no such file")
     found = {task: given.get(task) or path for task, path in known.items()}
     return {task: path for task, path in found.items() if path.is_file()}
 
@@ -204,7 +213,7 @@ def main(
             f"{', '.join([*wanted, *UNPLANNED])}"
         )
     reports = {"tracking": tracking, "text": text, "manipulation": manipulation}
-    reports_of(out, reports)
+    check_reports(reports)
     shared = ["--work", f"{out / 'work'}", "--jobs", str(jobs), "--tracker", tracker, "--states"]
     planned = {n: [*words, *shared] for n, words in wanted.items() if not only or n in only}
     check(planned)
@@ -223,7 +232,7 @@ def main(
         (out / "run-time.md").write_text(f"{markdown(parts)}\n{by_objects_markdown(crowds)}")
         together(out)
     if not only or "all-tasks" in only:
-        all_tasks.write_table(reports_of(out, reports), "ball", out)
+        all_tasks.write_table(reports_of(out, reports), TARGET, out)
         together(out)
 
 

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 pytest.importorskip("matplotlib")
 
+from bench import tables
 from bench.all_tasks import write_table
 from bench.results.table import read_table
 from bench.tables import main
@@ -21,7 +22,7 @@ TRACKING = {
         for name, budget, iou in (("full", "1", 0.6), ("pursuit", "1/8", 0.58), ("spatial", "1/8", 0.3))
     ] + [{"clip": "a", "clips": 1, "target": "ball", "strategy": "spatial", "budget": "1/8", "iou": 0.1}],
 }  # fmt: skip
-TEXT = {
+TEXT: dict[str, Any] = {
     "commit": "abcdef0123", "graph": "text.yaml", "clips": 10, "seed": 70_000,
     "rows": [
         {"strategy": name, "budget": budget, "read": read}
@@ -37,8 +38,8 @@ ROBOT = {
 }  # fmt: skip
 
 
-def made(folder: Path, **reports: Any) -> Any:
-    words = ["--out", str(folder / "out"), "--only", "all-tasks"]
+def made(folder: Path, *, only: str = "all-tasks", **reports: Any) -> Any:
+    words = ["--out", str(folder / "out"), *(["--only", only] if only else [])]
     for task, report in reports.items():
         path = folder / f"{task}.json"
         path.write_text(json.dumps(report))
@@ -97,14 +98,19 @@ def test_one_task_alone_is_a_table_too(tmp_path: Path) -> None:
     assert "ball" not in text
 
 
-@pytest.mark.parametrize(
-    ("reports", "sentence"),
-    [
-        ({"text": [1]}, "expected a report of fovea eval with rows"),
-        ({"text": TRACKING}, "--text: expected rows of that task"),
-        ({"tracking": TRACKING | {"rows": []}}, "--tracking: expected rows of ball, got none"),
-    ],
-)
+OTHER_FILES = [
+    ({"text": [1]}, "expected a report of fovea eval with rows"),
+    ({"text": TRACKING}, "--text: expected rows of that task"),
+    ({"manipulation": TEXT}, "--manipulation: expected rows of that task"),
+    (
+        {"text": {"rows": [TEXT["rows"][0] | {"budget": "1/0"}]}},
+        "--text: expected rows of that task",
+    ),
+    ({"tracking": TRACKING | {"rows": []}}, "--tracking: expected rows of ball, got none"),
+]
+
+
+@pytest.mark.parametrize(("reports", "sentence"), OTHER_FILES)
 def test_other_files_are_refused_in_a_sentence(
     tmp_path: Path, reports: dict[str, Any], sentence: str
 ) -> None:
@@ -121,3 +127,20 @@ def test_a_report_that_is_missing_is_refused_before_anything_is_measured(tmp_pat
 
     assert result.exit_code == 1
     assert "none.json: expected a report of fovea eval, got no such file" in result.output
+
+
+@pytest.mark.parametrize("only", ["", "budgets"])
+@pytest.mark.parametrize(("reports", "sentence"), OTHER_FILES)
+def test_other_files_are_refused_before_anything_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, only: str, reports: dict[str, Any],
+    sentence: str,
+) -> None:  # fmt: skip
+    begun: list[str] = []
+    monkeypatch.setattr(tables, "check", begun.extend)
+
+    result = made(tmp_path, only=only, **reports)
+
+    assert result.exit_code == 1
+    assert sentence in result.output
+    assert begun == []
+    assert list((tmp_path / "out").iterdir()) == []
