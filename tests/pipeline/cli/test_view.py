@@ -6,8 +6,9 @@ import secrets
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Timer
 from time import monotonic, sleep
 
 import psutil
@@ -39,25 +40,54 @@ def name(tmp_path: Path) -> Iterator[str]:
         psutil.Process(running()[name]["pid"]).kill()
 
 
-def viewing(name: str) -> "subprocess.Popen[str]":
-    """Start `fovea view` and wait until it watches."""
-    view = subprocess.Popen(
-        [*FOVEA, "view", name, "--no-browser"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        text=True,
-    )  # fmt: skip
+View = subprocess.Popen[str]
+Begin = Callable[..., View]
+
+
+@pytest.fixture
+def begin() -> Iterator[Begin]:
+    """Return what starts `fovea view WORDS`; what still runs after the test is killed."""
+    begun: list[View] = []
+
+    def start(*words: str, **env: str) -> View:
+        view = subprocess.Popen(
+            [*FOVEA, "view", *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            env={**os.environ, **env},
+        )  # fmt: skip
+        begun.append(view)
+        return view
+
+    try:
+        yield start
+    finally:
+        for view in begun:
+            view.kill()  # nothing for one that has ended
+            view.wait(timeout=PATIENCE_S)
+            assert view.stdout is not None
+            view.stdout.close()
+
+
+def next_line(view: View) -> str:
+    """Return the next line that a view prints, empty at its end; kills one that says nothing."""
     assert view.stdout is not None
-    assert re.match(rf"{name}: look at http://127\.0\.0\.1:\d+/\?url=rerun", view.stdout.readline())
+    late = Timer(PATIENCE_S, view.kill)  # which ends the line that is waited for
+    late.start()
+    try:
+        return view.stdout.readline()
+    finally:
+        late.cancel()
+
+
+def viewing(begin: Begin, name: str) -> View:
+    """Start `fovea view` and wait until it watches."""
+    view = begin(name, "--no-browser")
+    assert re.match(rf"{name}: look at http://127\.0\.0\.1:\d+/\?url=rerun", next_line(view))
     return view
 
 
-def test_two_views_at_once_wait_for_one_another(name: str) -> None:
-    views = [
-        subprocess.Popen(
-            [*FOVEA, "view", name, "--no-browser"], stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT, text=True,
-        ) for _ in range(2)
-    ]  # fmt: skip
-    first = [view.stdout.readline() for view in views if view.stdout is not None]
+def test_two_views_at_once_wait_for_one_another(name: str, begin: Begin) -> None:
+    views = [begin(name, "--no-browser") for _ in range(2)]
+    first = [next_line(view) for view in views]
     joined = {node for node in nodes(name) if node.startswith("viewer")}
     for view in views:
         view.send_signal(signal.SIGINT)
@@ -98,14 +128,14 @@ def nodes(name: str) -> set[str]:
     return {node["name"] for node in running()[name]["nodes"]}
 
 
-def test_a_view_joins_a_running_graph_and_leaves_it_as_it_was(name: str) -> None:
+def test_a_view_joins_a_running_graph_and_leaves_it_as_it_was(name: str, begin: Begin) -> None:
     before = nodes(name)
 
-    killed = viewing(name)
+    killed = viewing(begin, name)
     joined = nodes(name) - before
     killed.kill()
     killed.communicate()
-    view = viewing(name)  # takes away what the killed one left
+    view = viewing(begin, name)  # takes away what the killed one left
     second = nodes(name) - before
     view.send_signal(signal.SIGINT)
     said = view.communicate(timeout=60)[0]
@@ -120,8 +150,8 @@ def test_a_view_joins_a_running_graph_and_leaves_it_as_it_was(name: str) -> None
     assert nodes(name) == before
 
 
-def test_a_view_ends_with_its_graph(name: str) -> None:
-    view = viewing(name)
+def test_a_view_ends_with_its_graph(name: str, begin: Begin) -> None:
+    view = viewing(begin, name)
 
     assert command("stop", name).returncode == 0
 
@@ -239,14 +269,10 @@ def test_a_live_setting_that_changed_is_told_once() -> None:
 
 
 def test_without_a_browser_the_address_is_printed_and_nothing_else(
-    name: str, tmp_path: Path
+    name: str, begin: Begin, tmp_path: Path
 ) -> None:
-    view = subprocess.Popen(
-        [*FOVEA, "view", name], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        env={**os.environ, "PATH": str(tmp_path)},
-    )  # fmt: skip
-    assert view.stdout is not None
-    said = [view.stdout.readline() for _ in range(2)]
+    view = begin(name, PATH=str(tmp_path))
+    said = [next_line(view) for _ in range(2)]
     view.send_signal(signal.SIGINT)
     rest = view.communicate(timeout=60)[0]
 
