@@ -67,7 +67,7 @@ PLACES = {
     ),
     "shirts": Place(
         section="Reading under a pixel budget", order=2,
-        title="Shirt numbers of a whole pitch, and whether they stay with their players",
+        title="Players of a whole pitch named by their shirts, read at all (alone), and names kept",
     ),
     "shirts_stages": Place(
         section="Reading under a pixel budget", order=3,

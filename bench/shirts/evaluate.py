@@ -1,9 +1,10 @@
-"""`fovea eval shirts`: whose shirt number is read, and whether the name stays with that player.
+"""`fovea eval shirts`: who is named by a shirt number, and whether the name stays with that player.
 
 A clip is the graph in lockstep over the whole pitch of a seed. A player is legible if the number is
-so in at least one frame at full resolution, and read once the track on it has the right number. In
-the frames after that in which the player is in view, its track has the right name, another, or
-none. All rows have the same clips. Seeds of 0 to 9,999 are for training, 50,000 to 59,999 for
+so in at least one frame at full resolution, read once the reader has said the right number, and
+named once the track on it has the right name, which takes votes of several readings. In the frames
+after that in which the player is in view, its track has the right name, another, or none. All rows
+have the same clips. Seeds of 0 to 9,999 are for training, 50,000 to 59,999 for
 development, 70,000 to 79,999 for tables.
 """
 
@@ -39,8 +40,8 @@ CODE = ("drivers.scenes", "drivers.simulated", "bench.shirts.tally", "bench.shir
 RATE_HZ = 30.0
 MOST = 100_000
 HEAD = (
-    *("strategy", "budget", "players read", "95 %", "of all", "wait s", "right name kept", "95 %"),
-    *("wrong name", "names that are right", "readings alone"),
+    *("strategy", "budget", "players named", "95 %", "read at least once", "of all", "wait s"),
+    *("right name kept", "95 %", "wrong name", "names that are right", "readings alone"),
 )
 
 
@@ -159,8 +160,8 @@ def summed(row: tuple[str, Fraction], outcomes: Sequence[Outcome]) -> dict[str, 
         "budget": str(row[1]),
         "pixels": round(sum(o.pixels for o in outcomes) / len(outcomes), 5),
         "legible": sum(o.legible for o in counts),
-        "read": number(known.iou),
-        "read_ci95": finite(known.low, known.high),
+        "named": number(known.iou),
+        "named_ci95": finite(known.low, known.high),
         "wait_s": round(median(waits) / RATE_HZ, 2) if waits else None,
         "after": sum(o.after for o in counts),
         "kept": number(kept.iou),
@@ -187,8 +188,8 @@ def cells(row: dict[str, Any]) -> list[str]:
         return "" if value is None else f"{value:{form}}"
 
     return [
-        row["strategy"], row["budget"], told(row["read"]), within(row["read_ci95"], ".2f"),
-        str(row["legible"]), told(row["wait_s"], ".1f"), told(row["kept"]),
-        within(row["kept_ci95"], ".2f"), told(row["wrong"]), told(row["named_rightly"]),
-        told(row["alone"]["kept"]),
+        row["strategy"], row["budget"], told(row["named"]), within(row["named_ci95"], ".2f"),
+        told(row["alone"]["read"]), str(row["legible"]), told(row["wait_s"], ".1f"),
+        told(row["kept"]), within(row["kept_ci95"], ".2f"), told(row["wrong"]),
+        told(row["named_rightly"]), told(row["alone"]["kept"]),
     ]  # fmt: skip

@@ -139,9 +139,10 @@ def test_clips_are_summed_and_finished_ones_are_not_played_again(tmp_path: Path)
     assert result.exit_code == 0, result.output
     first = json.loads((tmp_path / "r.json").read_text())["rows"][0]
     assert (first["strategy"], first["legible"]) == ("foveated", 8)
-    assert (first["read"], first["kept"], first["wrong"]) == (0.75, 0.75, 0.05)
+    assert (first["named"], first["kept"], first["wrong"]) == (0.75, 0.75, 0.05)
+    assert first["alone"]["read"] == 0.75
     assert first["wait_s"] == 1.0
-    assert "foveated | 1/8 | 0.750" in result.output
+    assert "foveated | 1/8 | 0.750 |  | 0.750 | 8 | 1.0" in result.output
 
 
 @pytest.mark.parametrize("words", [["--clips", "0"], ["--seed", "-1"], ["--strategies", "best"]])
