@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.messages import Geometry
+from pipeline.messages import Geometry, Tracks
 
 Array = NDArray[np.float32]
 
@@ -95,6 +95,28 @@ def from_centres(centre: Array, size: Array) -> Array:
     """Boxes from centres (..., 2) and (width, height) (..., 2) -> (..., 4)."""
     half = np.asarray(size, np.float32) / 2
     return np.concatenate([centre - half, centre + half], -1).astype(np.float32)
+
+
+def parts_of(boxes: Array, part: tuple[float, float, float, float]) -> Array:
+    """Return a part of each box (n, 4): its left, top, right and low as shares of the sides.
+
+    >>> parts_of(np.array([[0, 0, 10, 20]], np.float32), (0.1, 0.5, 0.9, 1)).tolist()
+    [[1.0, 10.0, 9.0, 20.0]]
+    """
+    sides = boxes[:, 2:] - boxes[:, :2]
+    found = np.tile(boxes[:, :2], 2) + np.tile(sides, 2) * np.array(part)
+    return np.asarray(found, np.float32)
+
+
+def boxes_at(tracks: Tracks, seq: int) -> Array | None:
+    """Return the boxes (n, 4) of tracks in a frame, sensor pixels; None before their history.
+
+    Of a later frame they are foreseen, at most as far as the tracks foresee.
+    """
+    ahead = min(seq - tracks.header.seq, tracks.predicted.shape[1])
+    if ahead > 0:
+        return tracks.predicted[:, ahead - 1]
+    return tracks.boxes[:, ahead - 1] if -ahead < tracks.boxes.shape[1] else None
 
 
 def roi_window(centre: Array, geometry: Geometry) -> tuple[int, int, int, int]:

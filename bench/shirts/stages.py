@@ -26,11 +26,11 @@ from drivers.scenes import WholePitchScene
 from drivers.scenes.soccer.shirts import ILLEGIBLE
 from operators.reader.ctc import OnnxReaderSettings, Recogniser, cut, recogniser_of
 from operators.reader.ocr import PaddleOcr
-from operators.reader.shirts import ShirtReaderSettings, parts_of
+from operators.reader.shirts import ShirtReaderSettings
 from operators.saliency import Saliency, SaliencySettings
 from operators.transcribed import plain
 from pipeline import Frame
-from pipeline.boxes import centres
+from pipeline.boxes import centres, parts_of
 from pipeline.messages import Geometry
 from pipeline.testing import header
 from pipeline.whole_file import write_whole

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from operators.name_tracks.persons import MOST_VOTES, Person, followed, settled
 from pipeline import Frame, Header, Input, Operator, Percept, SettingsError, Tracks
-from pipeline.boxes import centres, covered, intersections
+from pipeline.boxes import boxes_at, centres, covered, intersections, parts_of
 from pipeline.errors import MessageError
 from pipeline.messages import Boxes, Ids, Shape
 from pipeline.text import harmless
@@ -98,11 +98,14 @@ class NameTracks(Operator[NameTracksSettings, Percept]):
             self._waiting = [*self._waiting, percept][-MOST_WAITING:]
 
     def on_roi(self, roi: Frame) -> None:
-        """Note the colours of the shirts that it shows."""
+        """Note the colours of the shirts that it shows, where the tracks know of its frame."""
         if self._tracks is None or not roi.pixels.size or not len(self._tracks.ids):
             return
+        boxes = boxes_at(self._tracks, roi.header.seq)
+        if boxes is None:
+            return
         by_track = {each.track: each for each in self._persons if not each.lost}
-        for row, colour in shirts(boxes_at(self._tracks, roi.header.seq), roi):
+        for row, colour in shirts(boxes, roi):
             if each := by_track.get(int(self._tracks.ids[row])):
                 each.show(colour, self.settings.colour)
 
@@ -131,10 +134,10 @@ class NameTracks(Operator[NameTracksSettings, Percept]):
 
     def _bind(self, percept: Percept, tracks: Tracks) -> None:
         """Give each reading to the track that has it; the persons are in the tracks' order."""
-        back = tracks.header.seq - percept.header.seq
-        if back >= tracks.boxes.shape[1]:  # nothing tells where the tracks were
+        boxes = boxes_at(tracks, percept.header.seq)
+        if boxes is None:  # nothing tells where the tracks were
             return
-        owners = owners_of(percept.boxes, tracks.boxes[:, -1 - back])
+        owners = owners_of(percept.boxes, boxes)
         for row, text, score in zip(owners.tolist(), percept.texts, percept.scores, strict=True):
             if row >= 0 and text and score >= self.settings.least_score:
                 clean = harmless(text, MOST_LETTERS).strip().upper()
@@ -204,12 +207,6 @@ def owners_of(texts: Array, persons: Array) -> NDArray[np.intp]:
     return np.where(single, inside.argmax(1) if len(persons) else -1, -1)
 
 
-def boxes_at(tracks: Tracks, seq: int) -> Array:
-    """Return the boxes (n, 4) of tracks in a frame, foreseen where the tracks are older."""
-    ahead = min(seq - tracks.header.seq, tracks.predicted.shape[1])
-    return tracks.predicted[:, ahead - 1] if ahead > 0 else tracks.boxes[:, -1]
-
-
 def shirts(boxes: Array, roi: Frame) -> list[tuple[int, Array]]:
     """Return the rows of persons (n, 4) whose shirts a picture shows, and their mean colours."""
     if roi.pixels.ndim != 3 or roi.pixels.dtype != np.uint8:
@@ -217,8 +214,7 @@ def shirts(boxes: Array, roi: Frame) -> list[tuple[int, Array]]:
             f"name_tracks.roi: expected pixels of 8 bit (h, w, 3), got {roi.pixel_format} "
             f"{roi.pixels.dtype} {list(roi.pixels.shape)}"
         )
-    sides = np.tile(boxes[:, 2:] - boxes[:, :2], 2)
-    parts = (np.tile(boxes[:, :2], 2) + sides * np.array(SHIRT)).astype(np.float32)
+    parts = parts_of(boxes, SHIRT)
     areas = np.maximum((parts[:, 2:] - parts[:, :2]).prod(1), 1e-9)
     others = intersections(parts, boxes)
     np.fill_diagonal(others, 0)

@@ -9,13 +9,12 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from operators.reader.ctc import LineReader, OnnxReaderSettings, cut, in_picture
 from operators.reader.instances import Instances
 from operators.reader.ocr import Reading
 from pipeline import Frame, SettingsError, Tracks
-from pipeline.boxes import covered
+from pipeline.boxes import boxes_at, covered, parts_of
 
 NUMBERS = "[1-9][0-9]?"
 LEAST_PX = 5.0  # height of a line in the picture: nothing smaller is read
@@ -58,10 +57,14 @@ class ShirtReader(LineReader[ShirtReaderSettings]):
         self._wanted = re.compile(self.settings.pattern or ".*")
 
     def read(self, frame: Frame) -> list[Reading]:
-        """Read the persons that the picture shows, the largest first."""
-        if self._tracks is None or not len(self._tracks.ids):
+        """Read the persons that the picture shows, the largest first.
+
+        Nothing is read where it is not known where they were, as in a frame older than the tracks.
+        """
+        boxes = None if self._tracks is None else boxes_at(self._tracks, frame.header.seq)
+        if boxes is None or not len(boxes):
             return []
-        parts = parts_of(boxes_at(self._tracks, frame.header.seq), self.settings.part)
+        parts = parts_of(boxes, self.settings.part)
         shown = covered(parts, np.array(frame.window, np.float32)) >= INSIDE
         scale = frame.pixels.shape[0] / (frame.window[3] - frame.window[1])
         tall = parts[:, 3] - parts[:, 1]
@@ -76,22 +79,3 @@ class ShirtReader(LineReader[ShirtReaderSettings]):
                 left, top, right, low = box.tolist()
                 found.append(Reading(text=text, score=score, box=(left, top, right, low)))
         return found
-
-
-def boxes_at(tracks: Tracks, seq: int) -> NDArray[np.float32]:
-    """Return the boxes (n, 4) of tracks in a frame, foreseen where the tracks are older."""
-    ahead = min(seq - tracks.header.seq, tracks.predicted.shape[1])
-    return tracks.predicted[:, ahead - 1] if ahead > 0 else tracks.boxes[:, -1]
-
-
-def parts_of(
-    boxes: NDArray[np.float32], part: tuple[float, float, float, float]
-) -> NDArray[np.float32]:
-    """Return a part of each box (n, 4), given as shares of its sides.
-
-    >>> parts_of(np.array([[0, 0, 10, 20]], np.float32), (0.1, 0.5, 0.9, 1)).tolist()
-    [[1.0, 10.0, 9.0, 20.0]]
-    """
-    sides = boxes[:, 2:] - boxes[:, :2]
-    found = np.tile(boxes[:, :2], 2) + np.tile(sides, 2) * np.array(part)
-    return np.asarray(found, np.float32)

@@ -191,6 +191,25 @@ def test_a_number_is_on_one_shirt_of_a_team_and_may_be_on_one_of_each() -> None:
     assert played(seen(BLUE)).ids.tolist() == [7, 8]
 
 
+def looks(seq: int, behind: int) -> int:
+    """Return how many looks a person at `HERE` in frame `seq` has of a ROI older than its track."""
+    subject = NameTracks(NameTracksSettings())
+    subject.open()
+    ahead = (HERE[0] + 100, HERE[1], HERE[2] + 100, HERE[3])
+    subject.on_tracks(tracks(seq + behind, {7: ahead}, speed=100.0))
+    shown = roi(seq, (HERE, RED), (ahead, BLUE))["roi"]
+    assert isinstance(shown, Frame)
+    subject.on_roi(shown)
+    state = subject.state()
+    red = np.abs(state.colours[0] - np.array(RED)).max() < 1
+    return int(state.looks[0]) if red else 0
+
+
+def test_shirts_of_an_older_picture_are_where_the_tracks_were() -> None:
+    assert looks(4, behind=1) == 1
+    assert looks(4, behind=2) == 0  # before their history
+
+
 def test_who_is_read_again_is_no_longer_lost() -> None:
     person, again = Person(track=1, seq=0, lost=True), Person(track=2, seq=90)
     for each in (person, again):

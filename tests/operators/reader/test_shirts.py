@@ -36,16 +36,16 @@ def context(seq: int = 0) -> Frame:
 
 def tracks(*boxes: tuple[float, float, float, float], seq: int = 0, speed: float = 0.0) -> Tracks:
     now = np.array(boxes, np.float32).reshape(-1, 1, 4)
-    count = len(now)
+    count, step = len(now), np.array([speed, 0, speed, 0], np.float32)
     return Tracks(
         header=header(seq, geometry=FIELD),
         ids=np.arange(count, dtype=np.int32),
         labels=np.zeros(count, np.int32),
         scores=np.ones(count, np.float32),
-        boxes=now,
-        visible=np.ones((count, 1), bool),
-        features=np.zeros((count, 1, 4), np.float32),
-        predicted=now + np.array([speed, 0, speed, 0], np.float32),
+        boxes=np.concatenate([now - step, now], 1),
+        visible=np.ones((count, 2), bool),
+        features=np.zeros((count, 2, 4), np.float32),
+        predicted=now + step,
         names=("player",),
     )
 
@@ -98,6 +98,18 @@ def test_a_person_is_looked_for_where_it_will_be(reader: ShirtReader) -> None:
     reader.on_tracks(tracks((470, 340, 510, 440), speed=30.0))
 
     assert read(reader, back(), 1).texts == ("23",)
+
+
+def test_tracks_newer_than_the_picture_tell_where_a_person_was(reader: ShirtReader) -> None:
+    reader.on_tracks(tracks((530, 340, 570, 440), seq=6, speed=30.0))
+
+    assert read(reader, back(), 5).texts == ("23",)
+
+
+def test_before_the_history_of_the_tracks_nothing_is_read(reader: ShirtReader) -> None:
+    reader.on_tracks(tracks(PERSON, seq=7))
+
+    assert read(reader, back(), 5).texts == ()
 
 
 @pytest.mark.parametrize(
