@@ -2,7 +2,8 @@
 
 A player is legible if the truth has the number in at least one frame at full resolution. It is read
 once a track on the player has the number. From then on, each frame in which the player is in view
-counts: the track on it may have the right number, another one, or none.
+counts: the track on it may have the right number, another one, or none. Where several tracks are on
+one player each has its own name, so that a frame may have both a right and a wrong one.
 """
 
 from dataclasses import dataclass, field, replace
@@ -26,10 +27,10 @@ class Counts:
     legible: int  # players
     read: int  # of them
     kept: int  # frames in view after the first right name, with the right one
-    wrong: int  # of the same, with another one
+    wrong: int  # of the same, with another one, on a second track perhaps
     after: int  # of the same, in all
     named: int  # tracks with a name, over all frames
-    named_rightly: int
+    named_rightly: int  # of them
     waits: tuple[int, ...]  # frames from legible to read
 
 
@@ -53,21 +54,25 @@ class IdentityTally:
                 self.legible.setdefault(id_, seq)
         said = said_of(percept, people)
         self.named += len(percept.texts)
-        for id_, texts in said.items():
-            right = self.numbers.get(id_, "") in texts
+        for id_, names in said.items():
+            right = sum(self.numbers.get(id_, "") in words for words in names)
             self.named_rightly += right
             if right:
                 self.read.setdefault(id_, seq)
         seen = people.visibility >= SEEN
         for id_ in people.ids[seen].tolist():
             if id_ in self.read and self.read[id_] < seq:
-                texts = said.get(id_, ())
+                each = [self.numbers[id_] in words for words in said.get(id_, ())]
                 self.after += 1
-                self.kept += self.numbers[id_] in texts
-                self.wrong += bool(texts) and self.numbers[id_] not in texts
+                self.kept += any(each)
+                self.wrong += not all(each)
 
     def counts(self) -> Counts:
-        """Return the counts; players whom the truth never calls legible are in no share."""
+        """Return the counts.
+
+        `legible`, `read` and `waits` are of players whom the truth calls legible in some frame;
+        frames and names are of all players.
+        """
         read = [id_ for id_ in self.legible if id_ in self.read]
         return Counts(
             legible=len(self.legible),
@@ -81,16 +86,20 @@ class IdentityTally:
         )
 
 
-def said_of(percept: Percept, people: Annotations) -> dict[int, tuple[str, ...]]:
-    """Return what the tracks on each person are called, by the person's id; words of all texts."""
-    found: dict[int, tuple[str, ...]] = {}
+Names = tuple[tuple[str, ...], ...]  # of one person: the words of each track on it
+
+
+def said_of(percept: Percept, people: Annotations) -> dict[int, Names]:
+    """Return what the tracks on each person are called, by the person's id."""
+    found: dict[int, Names] = {}
     if not len(percept.boxes) or not len(people.boxes):
         return found
     shared = iou(percept.boxes, people.boxes.astype(np.float32))
     for row, best in enumerate(shared.argmax(1).tolist()):
-        if shared[row, best] >= SAME_IOU:
+        words = tuple(percept.texts[row].split())
+        if words and shared[row, best] >= SAME_IOU:
             id_ = int(people.ids[best])
-            found[id_] = (*found.get(id_, ()), *percept.texts[row].split())
+            found[id_] = (*found.get(id_, ()), words)
     return found
 
 

@@ -69,6 +69,18 @@ def test_a_name_on_another_player_is_not_right() -> None:
     assert found.named == 2
 
 
+@pytest.mark.parametrize(
+    ("second", "rightly", "wrong"), [("23 WEISS", 4, 0), ("28", 2, 1)], ids=["agree", "disagree"]
+)
+def test_two_tracks_on_one_player_have_a_name_each(second: str, rightly: int, wrong: int) -> None:
+    both = ((A, "23"), (A, second))
+
+    found = counted(both, both)
+
+    assert (found.named, found.named_rightly) == (4, rightly)
+    assert (found.after, found.kept, found.wrong) == (1, 1, wrong)
+
+
 def test_a_player_who_is_never_legible_counts_as_kept_but_in_no_share_of_the_legible() -> None:
     found = counted(((B, "9"),), ((B, "9"),))
 
