@@ -34,7 +34,8 @@ class NameTracksSettings:
 
     least_score: float = 0.8  # of a reading
     votes: float = 2.0  # that agree, from which a person has a name; a sure reading is one
-    memory: int = 90  # frames for which a person without a track may be found again; 0: none
+    # frames from the last detection of a person for which it may be found again; 0: never
+    memory: int = 90
     colour: float = 110.0  # sum of differences of R, G and B up to which shirts are alike
 
     def __post_init__(self) -> None:
@@ -50,7 +51,11 @@ class NameTracksSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NameTracksState:
-    """Everybody who is known, a row each; and a row for each vote."""
+    """Everybody who is known, a row each; and a row for each vote.
+
+    Answers of the reader that wait for the tracks of their frame are not part of it: a swap loses
+    these few readings.
+    """
 
     ids: Ids  # of the tracks
     seqs: Annotated[NDArray[np.int64], Shape.of("n")]
@@ -139,8 +144,8 @@ class NameTracks(Operator[NameTracksSettings, Percept]):
             return
         owners = owners_of(percept.boxes, boxes)
         for row, text, score in zip(owners.tolist(), percept.texts, percept.scores, strict=True):
-            if row >= 0 and text and score >= self.settings.least_score:
-                clean = harmless(text, MOST_LETTERS).strip().upper()
+            clean = harmless(text, MOST_LETTERS).strip().upper()
+            if row >= 0 and clean and score >= self.settings.least_score:
                 self._persons[row].hear(clean, float(min(score, 1)))
                 self._readings += 1
 

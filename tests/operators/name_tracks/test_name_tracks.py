@@ -80,6 +80,11 @@ def test_two_sure_readings_name_the_track_that_has_them() -> None:
     assert percept.scores.tolist() == [1.0]
 
 
+def test_a_text_of_spaces_is_no_reading() -> None:
+    assert played(known(text="  ")).texts == ()
+    assert played([*known(), *known(text=" ")]).texts == ("23",)
+
+
 def test_one_reading_is_no_name_yet() -> None:
     assert played(known(1)).texts == ()
 
