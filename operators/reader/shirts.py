@@ -6,7 +6,9 @@ has its number: that part of each person's box is read as one line.
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +22,7 @@ NUMBERS = "[1-9][0-9]?"
 LEAST_PX = 5.0  # height of a line in the picture: nothing smaller is read
 MOST_PERSONS = 32  # read in one frame
 INSIDE = 0.95  # share of the part that the picture must show
+LAST_ID = 2**31 - 1 - 2 * MOST_PERSONS  # of a reading before those of one exposure; then from 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +64,8 @@ class ShirtReader(LineReader[ShirtReaderSettings]):
 
         Nothing is read where it is not known where they were, as in a frame older than the tracks.
         """
+        if self._instances.next_id > LAST_ID:  # each reading has an id of its own, of 32 bit
+            self._instances.next_id = 1
         boxes = None if self._tracks is None else boxes_at(self._tracks, frame.header.seq)
         if boxes is None or not len(boxes):
             return []
@@ -79,3 +84,11 @@ class ShirtReader(LineReader[ShirtReaderSettings]):
                 left, top, right, low = box.tolist()
                 found.append(Reading(text=text, score=score, box=(left, top, right, low)))
         return found
+
+    def summary(self) -> Mapping[str, Any]:
+        """How much was read; how many persons that were is not known here."""
+        return {"frames": self._frames, "readings": self._readings}
+
+    def headline(self) -> str:
+        """How many readings there were."""
+        return f"{self._readings} readings"

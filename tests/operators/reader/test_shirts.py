@@ -1,5 +1,7 @@
 """The reader of shirts on a drawn back, with the real recogniser."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -121,6 +123,25 @@ def test_persons_outside_the_roi_and_tiny_ones_are_left_out(
     reader.on_tracks(tracks(box))
 
     assert read(reader, back()).texts == ()
+
+
+def test_a_person_who_is_read_twice_is_two_readings_and_no_two_texts() -> None:
+    made = ShirtReader(ShirtReaderSettings())
+    made.open()
+    made.on_tracks(tracks(PERSON))
+
+    read(made, back())
+    read(made, back())
+
+    assert made.summary() == {"frames": 2, "readings": 2}
+    assert made.headline() == "2 readings"
+
+
+def test_ids_of_readings_begin_again_before_they_are_too_large(reader: ShirtReader) -> None:
+    reader.restore(replace(reader.state(), next_id=2**31 - 1))
+    reader.on_tracks(tracks(PERSON))
+
+    assert read(reader, back()).ids.tolist() == [1]
 
 
 def test_without_tracks_nothing_is_read(reader: ShirtReader) -> None:
