@@ -53,7 +53,7 @@ HEAD = (
 @click.option("--strategies", default="all", help=f"all, or some by comma: {', '.join(STRATEGIES)}")
 @click.option("--budgets", default="1/8", show_default=True, help="shares of the pixel rate")
 @click.option("--clips", default=8, show_default=True, help="of every row")
-@click.option("--frames", default=150, show_default=True, help="of a clip")
+@click.option("--frames", default=90, show_default=True, help="of a clip")
 @click.option("--seed", default=70_000, show_default=True, help="of the first match")
 @click.option("--graph", default=str(GRAPH), help="the loop")
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")

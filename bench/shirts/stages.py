@@ -40,6 +40,7 @@ REDUCED = 4  # sides of the context
 WINDOW = (640, 360)  # shown to PP-OCR, around a number
 LIBRARIES = ("numpy", "onnxruntime", "opencv-python-headless", "rapidocr")
 Image = NDArray[np.uint8]
+COUNT = click.IntRange(1, 100_000)
 STAGES = (
     ("found", "detector of texts, in the context", "a box whose middle is on the number"),
     ("ppocr", "PP-OCR with its own detector", "640x360 at full resolution around the number"),
@@ -59,10 +60,14 @@ class Legible:
 
 
 @click.command(cls=Bench, help=(__doc__ or "").split("\n", 1)[0])
-@click.option("--matches", default=8, show_default=True, help="seeds in succession")
-@click.option("--seed", default=50_000, show_default=True, help="of the first match")
-@click.option("--frames", default=150, show_default=True, help="length of a clip")
-@click.option("--every", default=30, show_default=True, help="frames between those looked at")
+@click.option("--matches", default=10, show_default=True, type=COUNT, help="seeds in succession")
+@click.option(
+    "--seed", default=50_000, show_default=True, type=click.IntRange(0), help="of the first match"
+)
+@click.option("--frames", default=150, show_default=True, type=COUNT, help="length of a clip")
+@click.option(
+    "--every", default=50, show_default=True, type=COUNT, help="frames between those looked at"
+)
 @click.option("--report", type=Path, help="JSON")
 def main(matches: int, seed: int, frames: int, every: int, report: Path | None) -> None:
     """See the module."""
@@ -71,7 +76,7 @@ def main(matches: int, seed: int, frames: int, every: int, report: Path | None) 
     cv2.setNumThreads(1)
     stages = Readers()
     told = [
-        stages.asked(scene, index, each)
+        stages.asked(scene, match, index, each)
         for match in range(seed, seed + matches)
         for scene in [WholePitchScene(size_px=SIZE, seed=match, truth_of="shirts")]
         for index in range(0, frames, every)
@@ -88,6 +93,8 @@ def main(matches: int, seed: int, frames: int, every: int, report: Path | None) 
         **facts(LIBRARIES),
         "seed": seed,
         "matches": matches,
+        "frames": frames,
+        "every": every,
         "numbers": len(told),
         "height_px": median([each["height_px"] for each in told]),
         "rows": rows,
@@ -105,11 +112,11 @@ class Readers:
         self._part = ShirtReaderSettings().part
         self._detector = Saliency(SaliencySettings(weights="text"))
         self._detector.open()
-        self._seen: tuple[int, int] = (-1, -1)
+        self._seen: tuple[int, int] = (-1, -1)  # seed, frame
         self._middles: NDArray[np.float32] = np.zeros((0, 2), np.float32)
 
-    def asked(self, scene: WholePitchScene, index: int, each: Legible) -> dict[str, Any]:
-        """Return whether each stage has the number."""
+    def asked(self, scene: WholePitchScene, seed: int, index: int, each: Legible) -> dict[str, Any]:
+        """Return whether each stage has the number, in a frame of the match of a seed."""
         left, top = (
             int(np.clip(middle - side / 2, 0, whole - side)) // REDUCED * REDUCED
             for middle, side, whole in zip(centres(each.box[None])[0], WINDOW, SIZE, strict=True)
@@ -118,7 +125,7 @@ class Readers:
         sharp = window(scene, index, left, top, 1)
         small = window(scene, index, left, top, REDUCED)
         part = parts_of(each.person[None], self._part)[0] - corner
-        middles = self._found(scene, index)
+        middles = self._found(scene, seed, index)
         inside = (middles >= each.box[:2]) & (middles <= each.box[2:])
         texts = [plain(reading.text) for reading in self._ocr(sharp)]
         return {
@@ -133,15 +140,15 @@ class Readers:
     def _says(self, picture: Image, box: NDArray[np.float32], text: str) -> bool:
         return plain(self._read(cut(picture, box))[0]) == text
 
-    def _found(self, scene: WholePitchScene, index: int) -> NDArray[np.float32]:
+    def _found(self, scene: WholePitchScene, seed: int, index: int) -> NDArray[np.float32]:
         """Return the middles (n, 2) of the texts that the detector finds in the context."""
-        if self._seen != (id(scene), index):
+        if self._seen != (seed, index):
             out = np.empty((SIZE[1] // REDUCED, SIZE[0] // REDUCED, 3), np.uint8)
             scene.window(index, 0, 0, *SIZE, REDUCED, out)
             field = Geometry(width_px=SIZE[0], height_px=SIZE[1])
             frame = Frame(header=header(index, geometry=field), pixels=out, window=(0, 0, *SIZE))
             self._middles = centres(self._detector.on_frame(frame).boxes)
-            self._seen = (id(scene), index)
+            self._seen = (seed, index)
         return self._middles
 
 

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 pytest.importorskip("rapidocr")
 
-from bench.shirts.stages import main, median, share
+from bench.shirts.stages import Readers, main, median, share
 
 
 def test_each_reader_is_asked_about_each_legible_number(tmp_path: Path) -> None:
@@ -22,6 +22,28 @@ def test_each_reader_is_asked_about_each_legible_number(tmp_path: Path) -> None:
     assert found["numbers"] >= 2
     assert len(shares) == 5
     assert shares[3] > shares[4]  # full resolution, and the context
+
+
+@pytest.mark.parametrize("words", [("--matches", "0"), ("--every", "0"), ("--seed", "-1")])
+def test_what_cannot_be_looked_at_is_refused(words: tuple[str, str]) -> None:
+    result = CliRunner().invoke(main, words)
+
+    assert result.exit_code == 2
+    assert f"Invalid value for '{words[0]}'" in result.output
+
+
+def test_each_match_has_its_own_texts_in_the_context() -> None:
+    readers = Readers()
+    looked: list[int] = []
+
+    class Match:
+        def window(self, index: int, *given: object) -> None:
+            looked.append(index)
+
+    for seed, index in ((1, 0), (1, 0), (2, 0), (2, 30)):
+        readers._found(Match(), seed, index)  # type: ignore[arg-type]
+
+    assert looked == [0, 0, 30]
 
 
 def test_of_nothing_there_is_no_share() -> None:
