@@ -11,7 +11,8 @@ development, 70,000 to 79,999 for tables.
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from concurrent.futures import as_completed
+from dataclasses import asdict
 from fractions import Fraction
 from hashlib import sha256
 from pathlib import Path
@@ -25,7 +26,7 @@ from bench.options import Bench
 from bench.outputs import make_room
 from bench.reading.evaluate import finite, within
 from bench.shirts.tally import Counts
-from bench.shirts.trial import STRATEGIES, Job, Outcome, plan_of, trial
+from bench.shirts.trial import STRATEGIES, Job, Outcome, plan_of, rate_of, trial
 from bench.tracking.budgets import parsed
 from bench.tracking.intervals import METHOD, Block, Mean, mean
 from operators.training.identity import of_code, of_plan
@@ -37,7 +38,6 @@ from pipeline.whole_file import write_whole
 GRAPH = Path(__file__).parents[2] / "graphs" / "shirts.yaml"
 LIBRARIES = ("numpy", "onnxruntime", "opencv-python-headless", "rapidocr")
 CODE = ("drivers.scenes", "drivers.simulated", "bench.shirts.tally", "bench.shirts.trial")
-RATE_HZ = 30.0
 MOST = 100_000
 HEAD = (
     *("strategy", "budget", "players named", "95 %", "read at least once", "of all", "wait s"),
@@ -89,7 +89,10 @@ def command(
         for row in rows
     }  # fmt: skip
     outcomes = measured([job for own in jobs_of.values() for job in own], work, jobs)
-    told = [summed(row, [outcomes[job] for job in own]) for row, own in jobs_of.items()]
+    told = [
+        summed(row, [outcomes[job] for job in own], rate_of(plan_of(own[0])))
+        for row, own in jobs_of.items()
+    ]
     found = {
         "bench": "shirts",
         **facts(LIBRARIES),
@@ -115,8 +118,10 @@ def measured(asked: Sequence[Job], folder: Path, jobs: int) -> dict[Job, Outcome
     found = {job: read(path) for job, path in files.items() if path.exists()}
     left = [job for job in asked if job not in found]
     with pool_of(jobs) as pool, bar("clips", len(asked), len(found)) as shown:
-        for job, waiting in [(job, pool.submit(trial, job)) for job in left]:
-            found[job] = waiting.result()
+        waiting = {pool.submit(trial, job): job for job in left}
+        for each in as_completed(waiting):
+            job = waiting[each]
+            found[job] = each.result()
             write_whole(files[job], json.dumps(asdict(found[job])))
             shown.step(f"{job.strategy} {job.budget}")
     return found
@@ -135,7 +140,7 @@ def read(path: Path) -> Outcome:
         name: Counts(**{**told[name], "waits": tuple(told[name]["waits"])})
         for name in ("counts", "alone")
     }
-    return replace(Outcome(**{**told, **both}))
+    return Outcome(**{**told, **both})
 
 
 def share(outcomes: Sequence[Counts], part: str, whole: str) -> Mean:
@@ -148,8 +153,13 @@ def share(outcomes: Sequence[Counts], part: str, whole: str) -> Mean:
     return mean(blocks)
 
 
-def summed(row: tuple[str, Fraction], outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Return a row's figures; None where nothing counts."""
+def summed(
+    row: tuple[str, Fraction], outcomes: Sequence[Outcome], rate_hz: float
+) -> dict[str, Any]:
+    """Return a row's figures, of clips with `rate_hz` frames a second; None where nothing counts.
+
+    `named` is of names that tracks have, `read` of readings alone.
+    """
     counts, alone = [o.counts for o in outcomes], [o.alone for o in outcomes]
     known = share(counts, "read", "legible")
     kept, wrong = share(counts, "kept", "after"), share(counts, "wrong", "after")
@@ -162,7 +172,7 @@ def summed(row: tuple[str, Fraction], outcomes: Sequence[Outcome]) -> dict[str, 
         "legible": sum(o.legible for o in counts),
         "named": number(known.iou),
         "named_ci95": finite(known.low, known.high),
-        "wait_s": round(median(waits) / RATE_HZ, 2) if waits else None,
+        "wait_s": round(median(waits) / rate_hz, 2) if waits else None,
         "after": sum(o.after for o in counts),
         "kept": number(kept.iou),
         "kept_ci95": finite(kept.low, kept.high),

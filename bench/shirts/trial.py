@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from bench.reading.rows import Row
-from bench.reading.trial import CAPTURE, POLICY, READER, check_budget, size_of
+from bench.reading.trial import CAPTURE, POLICY, READER, check_budget, sensor_of, size_of
 from bench.shirts.tally import Counts, IdentityTally, on_people
 from bench.tracking.classes import with_class
 from drivers.scenes import WholePitchScene
@@ -30,6 +30,7 @@ ALIKE = {  # rows with a ROI that differ from `foveated` in one node, or one set
     "PP-OCR's detector": (READER, "operators.reader:Reader", {"forget_after": 1}),
 }
 WITHOUT = {"no handing over": f"{NAMES}.memory=0"}
+RATE_HZ = 30.0  # of the whole pitch, where the graph does not set one
 SENSOR = ("full", "context", "spatial", "centred", "round_robin")
 STRATEGIES = (FOVEATED, *WITHOUT, *ALIKE, *SENSOR)
 
@@ -87,10 +88,9 @@ def counted(
     """Count over every frame of the clip, so that who is legible is the same for all rows."""
     given: dict[str, Any] = dict(options_of(plan)["source_options"])
     given.pop("camera", None)
-    size_px = size_of(plan)
+    known = {"size_px": size_of(plan), "rate_hz": rate_of(plan), "seed": job.seed, **given}
     objects, shirts = (
-        WholePitchScene(size_px=size_px, seed=job.seed, **{**given, "truth_of": truth})
-        for truth in ("objects", "shirts")
+        WholePitchScene(**{**known, "truth_of": truth}) for truth in ("objects", "shirts")
     )
     looks = everybody(job.seed)
     numbers = {who: look.number for who, look in enumerate(looks, 1) if look.number}
@@ -100,6 +100,11 @@ def counted(
         kept.add(seq, names.get(seq, nothing(seq)), people, backs)
         alone.add(seq, on_people(readings.get(seq, nothing(seq)), people), people, backs)
     return kept.counts(), alone.counts()
+
+
+def rate_of(plan: Plan) -> float:
+    """Return the frames a second of the clips."""
+    return sensor_of(plan).rate_hz or RATE_HZ
 
 
 def nothing(seq: int) -> Percept:

@@ -1,6 +1,9 @@
 """Counting identities, and the rows of their evaluation."""
 
 import json
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -13,7 +16,7 @@ pytest.importorskip("rapidocr")
 
 from bench.shirts import evaluate
 from bench.shirts.tally import Counts, IdentityTally, on_people
-from bench.shirts.trial import STRATEGIES, Job, Outcome, plan_of
+from bench.shirts.trial import STRATEGIES, Job, Outcome, plan_of, rate_of
 from drivers.source import Annotations
 from operators.transcribed import ILLEGIBLE
 from pipeline.errors import GraphError, SettingsError
@@ -131,6 +134,12 @@ def test_other_strategies_and_graphs_are_refused() -> None:
         plan_of(job("foveated", graph=str(evaluate.GRAPH.with_name("text.yaml"))))
 
 
+def test_waits_are_of_the_graphs_own_rate() -> None:
+    assert rate_of(plan_of(job("foveated"))) == 30.0
+    assert rate_of(plan_of(job("foveated", changes=("capture.rate_hz=60",)))) == 60.0
+    assert evaluate.summed(("full", Fraction(1)), [outcome(4, 20)], 60.0)["wait_s"] == 0.5
+
+
 def outcome(read: int, kept: int) -> Outcome:
     counts = Counts(
         legible=4, read=read, kept=kept, wrong=1, after=20, named=30, named_rightly=25, waits=(30,)
@@ -145,7 +154,7 @@ def test_clips_are_summed_and_finished_ones_are_not_played_again(tmp_path: Path)
     for strategy in ("foveated", "context"):
         for clip, (read, kept) in enumerate(((4, 20), (2, 10))):
             path = tmp_path / "work" / f"{evaluate.key(job(strategy, seed=70_000 + clip))}.json"
-            path.write_text(json.dumps(evaluate.asdict(outcome(read, kept))))
+            path.write_text(json.dumps(asdict(outcome(read, kept))))
     result = CliRunner().invoke(evaluate.command, words)
 
     assert result.exit_code == 0, result.output
@@ -163,3 +172,25 @@ def test_what_cannot_be_measured_is_refused(words: list[str], tmp_path: Path) ->
 
     assert result.exit_code == 1
     assert "expected" in result.output
+
+
+def test_a_clip_is_written_once_it_is_over_whatever_came_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow, quick = job("foveated"), job("full")
+    written = threading.Event()
+
+    def played(asked: Job) -> Outcome:
+        if asked == slow:
+            assert written.wait(20), "the quick clip was not written while the slow one was played"
+        return outcome(4, 20)
+
+    def write(path: Path, text: str) -> None:
+        path.write_text(text)
+        written.set()
+
+    monkeypatch.setattr(evaluate, "trial", played)
+    monkeypatch.setattr(evaluate, "pool_of", ThreadPoolExecutor)
+    monkeypatch.setattr(evaluate, "write_whole", write)
+
+    assert len(evaluate.measured([slow, quick], tmp_path, 2)) == 2
