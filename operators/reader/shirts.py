@@ -15,7 +15,7 @@ import numpy as np
 from operators.reader.ctc import LineReader, OnnxReaderSettings, cut, in_picture
 from operators.reader.instances import Instances
 from operators.reader.ocr import Reading
-from pipeline import Frame, SettingsError, Tracks
+from pipeline import Frame, SettingsError
 from pipeline.boxes import boxes_at, covered, parts_of
 
 NUMBERS = "[1-9][0-9]?"
