@@ -116,7 +116,7 @@ def test_the_real_sequence_plays(tmp_path: Path, footage: Footage) -> None:
 
 def test_every_source_file_is_tested() -> None:
     assert {path.stem for path in SOURCES.glob("*.yaml")} >= {
-        *RECORDINGS, "photographs", "road", "roadtext", "soccer", "shirts", "whole_pitch", "raw",
+        *RECORDINGS, "photographs", "road", "roadtext", "soccer", "whole_pitch", "raw",
         "usb", "usb_raw",
     }  # fmt: skip
 
