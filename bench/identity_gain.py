@@ -40,6 +40,7 @@ from operators.identity import Identity, IdentitySettings
 from operators.identity.people import People
 from operators.policy.greedy import NEW_AGE, GreedyPolicySettings, worth
 from pipeline.errors import SettingsError
+from pipeline.extras import need
 from pipeline.messages import RoiFeatures, Tracks, altered
 from pipeline.whole_file import write_whole
 
@@ -211,6 +212,7 @@ def correlation_of(rows: Sequence[Mapping[str, Any]]) -> float | None:
 def main(clips: int, frames: int, seed: int, shares: str, path: Path | None) -> None:
     """Measure what looks gain the identities."""
     tried = shares_of(shares)
+    need("trackeval", "python -m bench.identity_gain")
     found = []
     for number in track(range(seed, seed + clips), "clips", console=Console(stderr=True)):
         looks = looks_of(number, frames)

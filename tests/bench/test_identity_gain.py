@@ -68,6 +68,7 @@ def clip_of_two() -> Looks:
 
 
 def test_looks_join_interrupted_tracks_and_those_in_doubt_are_what_gains() -> None:
+    pytest.importorskip("trackeval")
     found = measured(clip_of_two())
 
     assert found["all"] > found["none"] + 0.1
@@ -78,6 +79,7 @@ def test_looks_join_interrupted_tracks_and_those_in_doubt_are_what_gains() -> No
 
 
 def test_only_looks_that_were_of_a_kind_are_left_out() -> None:
+    pytest.importorskip("trackeval")
     whole = clip_of_two()
     kinds = outcome_of(whole).kinds
     without = replace(whole, shown={k: whole.shown[k] & (kinds[k] != 1) for k in whole.shown})
@@ -88,6 +90,7 @@ def test_only_looks_that_were_of_a_kind_are_left_out() -> None:
 
 
 def test_without_looks_nothing_is_counted() -> None:
+    pytest.importorskip("trackeval")
     whole = clip_of_two()
     found = outcome_of(replace(whole, shown={k: ~mask for k, mask in whole.shown.items()}))
 
@@ -119,6 +122,7 @@ def test_a_share_of_the_looks_is_drawn_by_the_seed() -> None:
 
 
 def test_rows_have_every_kind_and_no_correlation_where_nothing_is_gained() -> None:
+    pytest.importorskip("trackeval")
     rows = rows_of([measured(clip_of_two())] * 2)
     nothing = [row | {"by 1,000": 0.0} for row in rows]
 
