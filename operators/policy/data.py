@@ -24,10 +24,11 @@ from pipeline import Geometry, RoiFeatures, Tracks, Truth
 from pipeline.errors import DriverError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
+from pipeline.graph.shipped import TASKS
 from pipeline.messages import Header, Message
 from pipeline.run.inline import InlineRunner
 
-GRAPH = Path(__file__).parents[2] / "graphs" / "tasks" / "tracking_recording.yaml"
+GRAPH = TASKS / "tracking_recording.yaml"
 TRAIN_SEEDS, VALIDATION_SEEDS = 30_000, 40_000  # no other part of the project uses them
 KEPT = ("association.out", "roi_features.out", "capture.truth")
 

@@ -39,10 +39,10 @@ from operators.training.stills import class_names, labelled, pictures_of
 from pipeline.errors import DriverError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
+from pipeline.graph.shipped import TASKS, source_path
 from pipeline.messages import Detections, Message
 from pipeline.run.inline import InlineRunner
 
-GRAPHS = Path(__file__).parents[2] / "graphs"
 FULL_PX = (1920, 1080)  # of the stills; others are scaled to it, as the loop sees them
 LEAST_SCORE = 0.03  # of a detection, to be a candidate
 DETECTED, VIEWS = 20, 2  # false candidates of a still, the surest first; crops of each person
@@ -94,9 +94,9 @@ def detected(paths: Iterable[Path]) -> Iterator[Detections]:
             f"saliency.confidence={LEAST_SCORE}",
         )  # fmt: skip
         overlay = Overlay(
-            source=GRAPHS / "sources" / "images.yaml", changes=changes, clock="lockstep"
+            source=source_path("images"), changes=changes, clock="lockstep"
         )
-        plan = load(GRAPHS / "tasks" / "tracking_recording.yaml", overlay)
+        plan = load(TASKS / "tracking_recording.yaml", overlay)
         with InlineRunner(plan, watch=keep) as run:
             for _ in run.run():
                 yield found.pop()

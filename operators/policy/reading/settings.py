@@ -7,8 +7,9 @@ from operators.policy.reading.tokens import PARTS
 from operators.policy.rollout import Late
 from operators.training.ranges import above_zero, at_least, known_device
 from pipeline.errors import SettingsError
+from pipeline.graph.shipped import TASKS
 
-GRAPH = Path(__file__).parents[2] / "graphs" / "tasks" / "text_recording.yaml"
+GRAPH = TASKS / "text_recording.yaml"
 TRAIN_SEEDS, VALIDATION_SEEDS = 0, 9_000  # within 0 to 9,999; others are for tables
 
 

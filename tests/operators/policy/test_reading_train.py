@@ -64,6 +64,13 @@ def network(tmp_path: Path) -> Path:
     return tmp_path / "reading.onnx"
 
 
+def test_a_training_records_clips_with_the_graph_that_ships(tmp_path: Path) -> None:
+    found = training.identity_of(settings(tmp_path))
+
+    assert "code of operators.association:Association" in found
+    assert found != training.identity_of(settings(tmp_path, seed=2))
+
+
 def test_the_loss_has_the_utility_of_a_plan() -> None:
     rng = np.random.default_rng(2)
     reads = rng.random((3, 2, 16)).astype(np.float32)
