@@ -44,7 +44,7 @@ class PaddleOcr:
 
     def __init__(
         self, *, threads: int = 1, least_score: float = 0.5, detection: str = "",
-        recognition: str = "",
+        recognition: str = "", least_place: float = 0.5,
     ) -> None:  # fmt: skip
         """Load the networks; raises `InstallError` and `WeightsError`."""
         need("rapidocr", "reader")
@@ -57,6 +57,7 @@ class PaddleOcr:
             "Global.max_side_len": LONGEST_SIDE_PX,
             "Det.limit_type": "max",  # the other kind enlarges small pictures to 736 pixels
             "Det.limit_side_len": LONGEST_SIDE_PX,
+            "Det.box_thresh": least_place,
             "EngineConfig.onnxruntime.intra_op_num_threads": threads,
             "EngineConfig.onnxruntime.inter_op_num_threads": 1,
             **{name: path for name, path in own.items() if path},
@@ -84,6 +85,14 @@ class PaddleOcr:
                 read = self._read(tile, left, top)
                 found.extend(each for each in read if not cut_off(each.box, within, (wide, high)))
         return _once(found)[:MOST_READINGS]
+
+    def places(self, picture: Picture) -> NDArray[np.float32]:
+        """Return where texts are, read or not: corners (n, 4, 2), pixels of the picture."""
+        found = self._engine(
+            np.ascontiguousarray(picture[..., ::-1]), use_det=True, use_cls=False, use_rec=False
+        )
+        boxes = [] if found.boxes is None else found.boxes
+        return np.asarray(boxes, np.float32).reshape(-1, 4, 2)
 
     def _read(self, tile: Picture, left: int, top: int) -> list[Reading]:
         # it reads BGR

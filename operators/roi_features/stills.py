@@ -93,9 +93,7 @@ def detected(paths: Iterable[Path]) -> Iterator[Detections]:
             f"capture.path={folder}", "capture.strategy=full", "capture.rate_hz=25",
             f"saliency.confidence={LEAST_SCORE}",
         )  # fmt: skip
-        overlay = Overlay(
-            source=source_path("images"), changes=changes, clock="lockstep"
-        )
+        overlay = Overlay(source=source_path("images"), changes=changes, clock="lockstep")
         plan = load(TASKS / "tracking_recording.yaml", overlay)
         with InlineRunner(plan, watch=keep) as run:
             for _ in run.run():

@@ -27,6 +27,7 @@ from operators.saliency.judging import (
     best_threshold,
 )
 from operators.saliency.saliency import Saliency, SaliencySettings
+from operators.saliency.text.photographs import part_of, photographs_in
 from operators.saliency.text.quads import corners, polygon_iou, upright
 from operators.saliency.text.roads import roads
 from operators.saliency.text.streets import FULL_PX, Picture, street
@@ -41,7 +42,8 @@ from pipeline.testing import header
 onnx_files: Any = LateModule("operators.training.onnx_files")  # needs the extra `train`
 SEEDS = {"development": 50_000, "held-out": 70_000}
 FRAMES = 5  # of a clip
-KINDS = ("drives", "streets")
+DRAWN = ("drives", "streets")
+PHOTOGRAPHS = "photographs"  # boards drawn upon them
 REDUCE = 4  # side of the picture over that of its context
 STRIDE = 32  # sides of the input are multiples of it
 MOST = 300  # detections of a context
@@ -57,15 +59,26 @@ class Look:
     ignored: NDArray[np.bool_]  # (n,) may be found or not
 
 
-def looks(kind: str, first: int, number: int, size_px: tuple[int, int] = FULL_PX) -> Iterator[Look]:
-    """Contexts of one of `KINDS`: frames of clips, or streets, of seeds from `first` on."""
+def looks(
+    kind: str,
+    first: int,
+    number: int,
+    size_px: tuple[int, int] = FULL_PX,
+    stills: Sequence[Path] = (),
+) -> Iterator[Look]:
+    """Contexts of a kind: frames of drives, or boards in streets or upon `stills`.
+
+    Their seeds begin with `first`.
+    """
     if kind == "drives":
         seeds = range(first, first + -(-number // FRAMES))
         for seq, seen in enumerate(roads(seeds, FRAMES, size_px, REDUCE)):
             yield look(seen, seq, size_px)
         return
     for seq in range(number):
-        whole = street(np.random.default_rng([first + seq, 0]))
+        rng = np.random.default_rng([first + seq, 0])
+        behind = part_of(stills[int(rng.integers(len(stills)))], rng) if stills else None
+        whole = street(rng, behind)
         size = (FULL_PX[0] // REDUCE, FULL_PX[1] // REDUCE)
         small = cv2.resize(whole.pixels, size, interpolation=cv2.INTER_AREA)
         yield look(replace(whole, pixels=np.asarray(small, np.uint8)), seq, FULL_PX)
@@ -172,21 +185,26 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--weights", type=Path, default=TEXT)
     parser.add_argument("--choose", action="store_true", help="choose the confidence first")
     parser.add_argument("--split", choices=tuple(SEEDS), default="development")
-    parser.add_argument("--kind", choices=KINDS, default="drives", help="what is scored")
+    kinds = (*DRAWN, PHOTOGRAPHS)
+    parser.add_argument("--kind", choices=kinds, default="drives", help="what is scored")
+    parser.add_argument("--stills", type=Path, help="folder of the photographs (.jpg)")
     parser.add_argument("--pictures", type=count, default=200)
     parser.add_argument("--size", type=size, default=FULL_PX, help="of drives, as 1280x720")
     parser.add_argument("--confidence", type=float, default=0.0, help="0: the network's own")
     parser.add_argument("--json", type=Path, help="write the figures here")
     given = parser.parse_args(words)
     need("PIL", "text")
+    if (given.kind == PHOTOGRAPHS) != (given.stills is not None):
+        parser.error(f"--stills: --kind {PHOTOGRAPHS} and a folder go together")
+    stills = photographs_in(given.stills, given.split) if given.stills else []
     weights = str(given.weights)
     Detector(settings_for(weights, given.size, given.confidence))  # refused before the drawing
     result: dict[str, object] = {"weights": given.weights.name, "pictures": given.pictures}
     if given.choose:
         need("onnx", "--choose")
-        parts = (looks(kind, SEEDS["development"], given.pictures) for kind in KINDS)
+        parts = (looks(kind, SEEDS["development"], given.pictures) for kind in DRAWN)
         result["confidence"] = choose(given.weights, each_of(chain.from_iterable(parts), "choose"))
-    drawn = looks(given.kind, SEEDS[given.split], given.pictures, given.size)
+    drawn = looks(given.kind, SEEDS[given.split], given.pictures, given.size, stills)
     table = report(each_of(drawn, "score"), weights, given.size, given.confidence)
     result |= {"on": f"{given.split} {given.kind}", "size_px": given.size, "figures": table}
     for name, row in table.items():

@@ -9,14 +9,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from operators.saliency.text.streets import FULL_PX, Picture, street
+from operators.saliency.text.photographs import contents, part_of
+from operators.saliency.text.streets import Picture, street
 from operators.training.arrays import outdated, write
 from operators.training.identity import Identity, of_code
 from operators.training.progress import tracked
 from operators.training.workers import pool_of
-from pipeline.errors import DriverError
 
 KEPT_PX = (640, 360)  # width, height of a kept picture
 CONTEXT_PX = (320, 180)
@@ -40,22 +39,11 @@ def drawn(seed: int, stills: Sequence[Path] = ()) -> list[Picture]:
     pictures = []
     for number in range(PICTURES):
         rng = np.random.default_rng([seed, number])
-        behind = _part_of(stills[int(rng.integers(len(stills)))], rng) if stills else None
-        pictures.append(kept(street(rng, behind if number % 2 else None)))
+        behind = None
+        if stills and number % 2:
+            behind = part_of(stills[int(rng.integers(len(stills)))], rng)
+        pictures.append(kept(street(rng, behind)))
     return pictures
-
-
-def _part_of(path: Path, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """A random part of a photograph, enlarged or shrunk to `FULL_PX`."""
-    read = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
-    if read is None:
-        raise DriverError(f"{path}: expected a picture, got none that can be read")
-    height, width = read.shape[:2]
-    share = rng.uniform(0.4, 1.0) * min(width / FULL_PX[0], height / FULL_PX[1])
-    w, h = max(1, int(FULL_PX[0] * share)), max(1, int(FULL_PX[1] * share))
-    x, y = int(rng.integers(width - w + 1)), int(rng.integers(height - h + 1))
-    part = cv2.resize(read[y : y + h, x : x + w], FULL_PX, interpolation=cv2.INTER_AREA)
-    return np.asarray(part, np.uint8)
 
 
 def draw(
@@ -71,9 +59,12 @@ def draw(
             job.result()
 
 
-def made_of_streets() -> Identity:
+def made_of_streets(stills: Sequence[Path] = ()) -> Identity:
     """What decides the streets of a seed."""
-    return of_code(*CODE) | {"pictures": str(PICTURES)}
+    made = of_code(*CODE) | {"pictures": str(PICTURES)}
+    if not stills:
+        return made
+    return made | of_code("operators.saliency.text.photographs") | {"stills": contents(stills)}
 
 
 def _draw(path: Path, made: Identity, how: Callable[[int], list[Picture]]) -> None:

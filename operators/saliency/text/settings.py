@@ -15,7 +15,7 @@ class TextTrainSettings:
 
     data: Path  # folder for drawn pictures
     out: Path
-    stills: Path | None = None  # folder of photographs without words, to draw upon
+    stills: Path | None = None  # folder of photographs to draw upon
     streets: int = 110  # parts of drawn streets
     clips: int = 110  # drawn drives, of seeds from 0 on
     clips_share: float = 0.6  # of the pictures of a batch

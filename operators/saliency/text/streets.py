@@ -27,9 +27,9 @@ class Picture:
     ignored: NDArray[np.bool_]  # (n,) may be found or not
 
 
-def street(rng: np.random.Generator, behind: Pixels | None = None) -> Picture:
-    """Draw one picture of `FULL_PX`; `behind` is a photograph to draw upon."""
-    pixels = backdrop(rng) if behind is None else behind.copy()
+def street(rng: np.random.Generator, behind: Picture | None = None) -> Picture:
+    """Draw one picture of `FULL_PX`; `behind` is a photograph to draw upon, with its own texts."""
+    pixels = backdrop(rng) if behind is None else behind.pixels.copy()
     count = int(rng.choice([0, 2, 4, 6, 9, 13], p=[0.06, 0.14, 0.2, 0.25, 0.2, 0.15]))
     quads: list[NDArray[np.float32]] = []
     taken = np.zeros((0, 4), np.float32)
@@ -46,7 +46,13 @@ def street(rng: np.random.Generator, behind: Pixels | None = None) -> Picture:
     found = np.concatenate([np.zeros((0, 4, 2), np.float32), *quads])
     hidden = _hide(pixels, rng)
     seen = np.array([_share(quad, hidden) for quad in found], np.float32)
-    return Picture(pixels=pixels, quads=found, ignored=seen < LEAST_SEEN)
+    if behind is None:
+        return Picture(pixels=pixels, quads=found, ignored=seen < LEAST_SEEN)
+    return Picture(
+        pixels=pixels,
+        quads=np.concatenate([found, behind.quads]),
+        ignored=np.concatenate([seen < LEAST_SEEN, behind.ignored]),
+    )
 
 
 def backdrop(rng: np.random.Generator) -> Pixels:

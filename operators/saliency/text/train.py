@@ -19,7 +19,7 @@ def asked(words: Sequence[str] | None) -> tuple[TextTrainSettings, Path | None]:
     """Parse the command line: the settings, and the file to export to instead of training."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--data", type=Path, required=True, help="drawn pictures, kept for later")
-    parser.add_argument("--stills", type=Path, help="photographs without words, to draw upon")
+    parser.add_argument("--stills", type=Path, help="photographs (.jpg) to draw upon")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint, log and text.onnx")
     parser.add_argument("--export", type=Path, help="write this file, train nothing")
     parser.add_argument("--init", type=Path, help="checkpoint or detector.onnx to begin with")

@@ -19,13 +19,14 @@ from operators.saliency.text.data import Batch, Words, collate, stream
 from operators.saliency.text.examples import INPUT_PX, draw, drawn, made_of_streets
 from operators.saliency.text.losses import losses
 from operators.saliency.text.model import Exported, TextNet
+from operators.saliency.text.photographs import photographs_in
 from operators.saliency.text.roads import made_of_roads, road
 from operators.saliency.text.settings import TextTrainSettings
 from operators.saliency.text.streets import Picture
 from operators.training import checkpoint
 from operators.training.averaging import follow, groups
 from operators.training.device import device_of
-from operators.training.identity import of_settings
+from operators.training.identity import Identity, of_settings
 from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
 from operators.training.progress import Phases, bar
@@ -35,6 +36,7 @@ PHASES = Phases("draw streets", "draw drives", "train")
 CALIBRATION = 64  # pictures over which an exported network is measured before training goes on
 NAME = "text"
 TRAINED_ON = "texts in streets that fovea draws itself"
+UPON = "half of its boards drawn upon photographs"
 BEGUN = "begun with the weights of its other detector"
 
 
@@ -51,7 +53,8 @@ class Run(checkpoint.Progress):
             groups(self.net, settings.decay), lr=settings.rate, betas=(0.9, 0.99)
         )
         parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
-        pictures = {**made_of_streets(), **(made_of_roads() if settings.clips else {})}
+        streets = made_of_streets(photographs_of(settings))
+        pictures = {**streets, **(made_of_roads() if settings.clips else {})}
         super().__init__(settings.out, parts, of_settings(settings, "stills") | pictures)
 
     def begin(self, source: Words) -> None:
@@ -73,22 +76,31 @@ class Run(checkpoint.Progress):
         self.mean.neck.load_state_dict(other.neck.state_dict())
 
 
+def photographs_of(settings: TextTrainSettings) -> list[Path]:
+    """Return the photographs that boards are drawn upon, none unless asked for."""
+    return photographs_in(settings.stills) if settings.stills else []
+
+
 def source_of(settings: TextTrainSettings) -> Words:
     """Draw what is missing, and return all pictures of a training."""
-    stills = sorted(settings.stills.glob("*.jpg")) if settings.stills else []
-    folders = [_drawn("streets", settings.streets, settings, partial(drawn, stills=stills))]
+    stills = photographs_of(settings)
+    upon = partial(drawn, stills=stills)
+    folders = [_drawn("streets", settings.streets, settings, made_of_streets(stills), upon)]
     if settings.clips:
-        folders.append(_drawn("drives", settings.clips, settings, road))
+        folders.append(_drawn("drives", settings.clips, settings, made_of_roads(), road))
     share = settings.clips_share
     return Words(folders, [1 - share, share][: len(folders)], settings.seed)
 
 
 def _drawn(
-    kind: str, seeds: int, settings: TextTrainSettings, how: Callable[[int], list[Picture]]
+    kind: str,
+    seeds: int,
+    settings: TextTrainSettings,
+    made: Identity,
+    how: Callable[[int], list[Picture]],
 ) -> list[Path]:
     """Draw the pictures of one kind that are missing; returns the files of all."""
     folder = settings.data / kind
-    made = made_of_roads() if kind == "drives" else made_of_streets()
     draw(range(seeds), folder, made, how, settings.threads, PHASES[f"draw {kind}"])
     return [folder / f"{seed}.npz" for seed in range(seeds)]
 
@@ -145,7 +157,9 @@ def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
 
 def trained_on(settings: TextTrainSettings) -> str:
     """Return what a training has seen, for the file that it writes."""
-    return f"{TRAINED_ON}; {BEGUN}" if settings.init else TRAINED_ON
+    upon = [UPON] if settings.stills else []
+    begun = [BEGUN] if settings.init else []
+    return "; ".join([TRAINED_ON, *upon, *begun])
 
 
 def export(net: TextNet, path: Path, seen: str = TRAINED_ON) -> None:

@@ -120,3 +120,15 @@ def test_a_size_without_a_quarter_is_refused(
         main(["--size", words])
 
     assert "argument --size" in capsys.readouterr().err
+
+
+def test_photographs_are_scored_with_a_folder_of_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words in (["--kind", "photographs"], ["--stills", str(tmp_path)]):
+        with pytest.raises(SystemExit):
+            main(words)
+        assert "--stills: --kind photographs and a folder go together" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["--kind", "photographs", "--stills", str(tmp_path)])
+    assert "expected photographs (.jpg) for development, got none" in capsys.readouterr().err
