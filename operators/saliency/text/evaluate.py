@@ -27,7 +27,7 @@ from operators.saliency.judging import (
     best_threshold,
 )
 from operators.saliency.saliency import Saliency, SaliencySettings
-from operators.saliency.text.photographs import part_of, photographs_in
+from operators.saliency.text.photographs import labelled_in, part_of, photographs_in
 from operators.saliency.text.quads import corners, polygon_iou, upright
 from operators.saliency.text.roads import roads
 from operators.saliency.text.streets import FULL_PX, Picture, street
@@ -78,10 +78,14 @@ def looks(
     for seq in range(number):
         rng = np.random.default_rng([first + seq, 0])
         behind = part_of(stills[int(rng.integers(len(stills)))], rng) if stills else None
-        whole = street(rng, behind)
-        size = (FULL_PX[0] // REDUCE, FULL_PX[1] // REDUCE)
-        small = cv2.resize(whole.pixels, size, interpolation=cv2.INTER_AREA)
-        yield look(replace(whole, pixels=np.asarray(small, np.uint8)), seq, FULL_PX)
+        yield look(context_of(street(rng, behind)), seq, FULL_PX)
+
+
+def context_of(whole: Picture) -> Picture:
+    """The context of a picture of `FULL_PX`; its corners stay in pixels of the whole one."""
+    size = (FULL_PX[0] // REDUCE, FULL_PX[1] // REDUCE)
+    small = cv2.resize(whole.pixels, size, interpolation=cv2.INTER_AREA)
+    return replace(whole, pixels=np.asarray(small, np.uint8))
 
 
 def look(seen: Picture, seq: int, size_px: tuple[int, int]) -> Look:
@@ -188,6 +192,7 @@ def main(words: Sequence[str] | None = None) -> None:
     kinds = (*DRAWN, PHOTOGRAPHS)
     parser.add_argument("--kind", choices=kinds, default="drives", help="what is scored")
     parser.add_argument("--stills", type=Path, help="folder of the photographs (.jpg)")
+    parser.add_argument("--labelled", type=Path, help="score all labelled photographs of a folder")
     parser.add_argument("--pictures", type=count, default=200)
     parser.add_argument("--size", type=size, default=FULL_PX, help="of drives, as 1280x720")
     parser.add_argument("--confidence", type=float, default=0.0, help="0: the network's own")
@@ -204,9 +209,16 @@ def main(words: Sequence[str] | None = None) -> None:
         need("onnx", "--choose")
         parts = (looks(kind, SEEDS["development"], given.pictures) for kind in DRAWN)
         result["confidence"] = choose(given.weights, each_of(chain.from_iterable(parts), "choose"))
-    drawn = looks(given.kind, SEEDS[given.split], given.pictures, given.size, stills)
-    table = report(each_of(drawn, "score"), weights, given.size, given.confidence)
-    result |= {"on": f"{given.split} {given.kind}", "size_px": given.size, "figures": table}
+    seen: Iterator[Look]
+    if given.labelled:
+        contexts = map(context_of, labelled_in(given.labelled))
+        seen = (look(context, seq, FULL_PX) for seq, context in enumerate(contexts))
+        on = given.labelled.name
+    else:
+        seen = looks(given.kind, SEEDS[given.split], given.pictures, given.size, stills)
+        on = f"{given.split} {given.kind}"
+    table = report(each_of(seen, "score"), weights, given.size, given.confidence)
+    result |= {"on": on, "size_px": given.size, "figures": table}
     for name, row in table.items():
         print(f"{name:12}", *(f"{figure} {value:.3f}" for figure, value in row.items()))
     if given.json:

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("PIL", reason="needs the text extra")
 
 from operators.saliency.text.examples import made_of_streets
-from operators.saliency.text.photographs import part_of, photographs_in
+from operators.saliency.text.photographs import labelled_in, part_of, photographs_in
 from operators.saliency.text.quads import upright
 from operators.saliency.text.streets import FULL_PX
 from operators.training.splits import DEVELOPMENT, TEST
@@ -67,3 +67,19 @@ def test_a_photograph_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 
     with pytest.raises(DriverError, match=r"broken\.jpg: expected a picture"):
         part_of(broken, np.random.default_rng(1))
+
+
+def test_words_of_a_labelled_photograph_are_scaled_with_it(tmp_path: Path) -> None:
+    wall(tmp_path / "img_1.jpg")
+    wall(tmp_path / "img_2.jpg")  # without labels
+    (tmp_path / "gt_img_1.txt").write_text(
+        "300,150,600,150,600,300,300,300,OPEN\n0,0,90,0,90,30,0,30,###\n"
+    )
+
+    (picture,) = labelled_in(tmp_path)
+
+    assert picture.pixels.shape == (*FULL_PX[::-1], 3)
+    assert upright(picture.quads).tolist() == [[200, 100, 400, 200], [0, 0, 60, 20]]
+    assert picture.ignored.tolist() == [False, True]
+    with pytest.raises(DriverError, match=r"expected photographs \(\.jpg\) with labels"):
+        list(labelled_in(tmp_path / "elsewhere"))
