@@ -49,9 +49,7 @@ def contents(files: Sequence[Path]) -> str:
 
 def part_of(path: Path, rng: np.random.Generator) -> Picture:
     """Return a random part of a photograph, scaled to `FULL_PX`, and its texts as ignored ones."""
-    read = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
-    if read is None:
-        raise DriverError(f"{path}: expected a picture, got none that can be read")
+    read = read_picture(path)
     height, width = read.shape[:2]
     share = rng.uniform(LEAST_SHARE, 1.0) * min(width / FULL_PX[0], height / FULL_PX[1])
     w, h = max(1, int(FULL_PX[0] * share)), max(1, int(FULL_PX[1] * share))

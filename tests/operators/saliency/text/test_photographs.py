@@ -65,7 +65,7 @@ def test_a_photograph_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     broken = tmp_path / "broken.jpg"
     broken.write_bytes(b"no picture")
 
-    with pytest.raises(DriverError, match=r"broken\.jpg: expected a picture"):
+    with pytest.raises(DriverError, match=r"broken\.jpg: expected a whole picture"):
         part_of(broken, np.random.default_rng(1))
 
 
