@@ -1,10 +1,11 @@
 """Leave out each rule of the policies once: `python -m bench.rules [GRAPH] [--json FILE]`.
 
-Runs the graph in line on drawn clips: the ball asked for by its class, and a referee and a player
-each asked for by the box that they have in the first frame. In each run one rule is replaced by
-what would be there without it, or its setting by the value that makes it do nothing. Prints the
-share of the target inside the ROI and the tracker's IoU, over all frames in which the target is
-visible, and the difference to the run with all rules, paired by clip: what loses nothing can go.
+Runs the graph in line on drawn clips, or on the source of `--source`: the ball asked for by its
+class, and referees and players each asked for by the box that they have in the first frame. In each
+run one rule is replaced by what would be there without it, or its setting by the value that makes
+it do nothing. Prints the share of the target inside the ROI and the tracker's IoU, over all frames
+in which the target is visible, and the difference to the run with all rules, paired by the
+target: what loses nothing can go.
 """
 
 import json
@@ -23,7 +24,7 @@ from rich.console import Console
 from rich.progress import track
 
 from bench.machine import facts
-from bench.options import JSON, ROOT, Bench, file_name
+from bench.options import JSON, ROOT, Bench, file_name, on_graph
 from bench.prototype import table
 from bench.tracking.classes import planned
 from bench.tracking.intervals import METHOD, Block, difference, mean
@@ -32,7 +33,6 @@ from operators.policy.candidates import odds
 from operators.policy.verdicts import EVEN
 from pipeline.boxes import covered, iou
 from pipeline.errors import RunError
-from pipeline.file_arguments import GRAPH_FILE
 from pipeline.graph.plan import Plan
 from pipeline.messages import Frame, Message, Percept, Truth
 from pipeline.run.inline import InlineRunner
@@ -208,20 +208,23 @@ def first_truth(plan: Plan) -> Truth:
     return found[0]
 
 
-def asked(truth: Truth, targets: Sequence[str]) -> dict[str, tuple[Watch, tuple[str, ...]]]:
-    """Return how each target is asked for in a clip: by its class, or by its first box."""
-    found: dict[str, tuple[Watch, tuple[str, ...]]] = {}
+def asked(
+    truth: Truth, targets: Sequence[str], objects: int
+) -> Iterator[tuple[Watch, tuple[str, ...]]]:
+    """Yield how each target is asked for in a clip: by its class, or `objects` by first boxes."""
     for kind in targets:
         if kind not in PROMPTED:
-            found[kind] = Watch(kind=kind), (f"policy.target={kind}",)
+            yield Watch(kind=kind), (f"policy.target={kind}",)
             continue
-        for row, label in enumerate(truth.labels):
-            if CLASS_OF_ROLE.get(label, label) == kind and truth.visibility[row] >= LEAST_VISIBLE:
-                box = ", ".join(f"{side:.1f}" for side in truth.boxes[row])
-                prompt = ("policy.target=", f"policy.prompt_box=[{box}]")
-                found[kind] = Watch(kind=kind, object_id=int(truth.ids[row])), prompt
-                break
-    return found
+        rows = [
+            row
+            for row, label in enumerate(truth.labels)
+            if CLASS_OF_ROLE.get(label, label) == kind and truth.visibility[row] >= LEAST_VISIBLE
+        ]
+        for row in rows[:objects]:
+            box = ", ".join(f"{side:.1f}" for side in truth.boxes[row])
+            prompt = ("policy.target=", f"policy.prompt_box=[{box}]")
+            yield Watch(kind=kind, object_id=int(truth.ids[row])), prompt
 
 
 def run(plan: Plan, rule: Rule | None, watch: Watch, frames: int) -> None:
@@ -234,7 +237,7 @@ def run(plan: Plan, rule: Rule | None, watch: Watch, frames: int) -> None:
 
 
 def rows(found: Mapping[tuple[str, str, str], Mapping[str, Watch]]) -> Iterator[dict[str, Any]]:
-    """Yield the figures of each policy, target and rule, over clips."""
+    """Yield the figures of each policy, target and rule, over the targets of that kind."""
     for (policy, kind, name), clips in found.items():
         usual = found[policy, kind, ALL]
         row: dict[str, Any] = {"policy": policy, "target": kind, "without": name}
@@ -245,7 +248,7 @@ def rows(found: Mapping[tuple[str, str, str], Mapping[str, Watch]]) -> Iterator[
                 row[f"{figure}: gained without"] = worded(*difference(own, all_rules))
             else:
                 row[f"{figure}: gained without"] = ""
-        yield row | {"clips": len(clips)}
+        yield row | {"targets": len(clips)}
 
 
 def blocks(clips: Mapping[str, Watch], figure: str) -> dict[str, Block]:
@@ -267,17 +270,20 @@ def worded(middle: float, low: float, high: float) -> str:
 
 
 @click.command(cls=Bench)
-@click.argument("graph", default="tracking", type=GRAPH_FILE)
-@click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
+@on_graph
 @click.option("--clips", default=8, show_default=True, type=click.IntRange(1))
 @click.option("--frames", default=150, show_default=True, type=click.IntRange(2))
 @click.option("--first-clip", default=FIRST_CLIP, show_default=True, type=click.IntRange(0))
 @click.option("--targets", default="ball,referee,player", show_default=True)
+@click.option(
+    "--objects", default=1, show_default=True, type=click.IntRange(1),
+    help="Referees and players of each clip that are asked for in turn.",
+)
 @click.option("--policies", default=",".join(POLICIES), show_default=True)
 @JSON
 def main(
-    graph: Path, changes: tuple[str, ...], clips: int, frames: int, first_clip: int, targets: str,
-    policies: str, path: Path | None,
+    graph: Path, source: Path | None, changes: tuple[str, ...], clips: int, frames: int,
+    first_clip: int, targets: str, objects: int, policies: str, path: Path | None,
 ) -> None:  # fmt: skip
     """Leave out each rule once."""
     cv2.setNumThreads(1)
@@ -291,20 +297,26 @@ def main(
         if rule is None or rule.policy == policy
     ]
     found: dict[tuple[str, str, str], dict[str, Watch]] = {}
-    for seed in range(first_clip, first_clip + clips):
-        common = (*changes, f"capture.seed={seed}")
-        truth = first_truth(planned(graph, common))
-        for policy, name, rule in track(cases, f"clip {seed}", console=Console(stderr=True)):
-            for kind, (watch, prompt) in asked(truth, targets.split(",")).items():
+    seeds = range(first_clip, first_clip + clips)
+    worlds = {"the source": changes} if source else {
+        f"clip {seed}": (*changes, f"capture.seed={seed}") for seed in seeds
+    }  # fmt: skip
+    for clip, common in worlds.items():
+        truth = first_truth(planned(graph, common, source=source))
+        for policy, name, rule in track(cases, clip, console=Console(stderr=True)):
+            for watch, prompt in asked(truth, targets.split(","), objects):
                 laid = (*common, *prompt, *(rule.changes if rule else ()))
-                run(planned(graph, laid, policy=POLICIES[policy]), rule, watch, frames)
-                found.setdefault((policy, kind, name), {})[str(seed)] = watch
+                plan = planned(graph, laid, policy=POLICIES[policy], source=source)
+                run(plan, rule, watch, frames)
+                of_rule = found.setdefault((policy, watch.kind, name), {})
+                of_rule[f"{clip}, {watch.object_id}"] = watch
     result = list(rows(found))
-    Console().print(table(f"rules left out once, {clips} clips of {frames} frames", result))
+    Console().print(table(f"rules left out once, {len(worlds)} x {frames} frames", result))
     if path:
         report = facts() | {
             "bench": "rules", "graph": file_name(graph), "changes": list(changes),
-            "seed": first_clip, "clips": clips, "frames": frames, "targets": targets,
+            "source": file_name(source) if source else "", "objects": objects,
+            "seed": first_clip, "clips": len(worlds), "frames": frames, "targets": targets,
             "interval": METHOD, "rows": result,
         }  # fmt: skip
         path.parent.mkdir(parents=True, exist_ok=True)

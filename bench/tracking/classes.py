@@ -32,12 +32,19 @@ POLICIES = {
 }
 
 
-def planned(graph: Path, changes: Sequence[str], tracker: str = "", policy: str = "") -> Plan:
+def planned(
+    graph: Path,
+    changes: Sequence[str],
+    tracker: str = "",
+    policy: str = "",
+    source: Path | None = None,
+) -> Plan:
     """Return the plan, in lockstep, with the graph's own classes where no other is asked for.
 
-    `tracker` is NAME or NAME=FILE.onnx, `policy` one of `POLICIES` or FILE.onnx.
+    `source` is laid over the graph's own. `tracker` is NAME or NAME=FILE.onnx, `policy` one of `POLICIES` or FILE.onnx.
     """
-    plan = load(graph, Overlay(clock="lockstep"))
+    other = tuple(c for c in changes if c.partition(".")[0] not in (TRACKER, POLICY))
+    plan = load(graph, Overlay(source=source, changes=other, clock="lockstep"))
     known = {node.name: node.operator for node in plan.nodes}
     for node in (*([TRACKER] if tracker else []), *([POLICY] if policy else [])):
         if node not in known:
@@ -51,7 +58,7 @@ def planned(graph: Path, changes: Sequence[str], tracker: str = "", policy: str 
     others = {node for node, path in paths.items() if path != known[node]}
     own = {node: _values(given, node) for node in others}
     kept = tuple(change for change in given if change.partition(".")[0] not in others)
-    plan = load(graph, Overlay(changes=kept, clock="lockstep"))
+    plan = load(graph, Overlay(source=source, changes=kept, clock="lockstep"))
     for node in sorted(others):
         values = own[node]
         if node == POLICY:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.rules import ALL, FIGURES, RULES, Rule, Watch, rows, without
+from bench.rules import ALL, FIGURES, RULES, Rule, Watch, asked, rows, without
 from pipeline.errors import RunError
 from pipeline.messages import Frame, Percept, Truth
 from pipeline.testing import header
@@ -69,3 +69,20 @@ def test_what_is_lost_without_a_rule_is_told_beside_its_figure() -> None:
     assert [row[FIGURES[1]] for row in found] == [0.5, 0.25]
     assert found[1][f"{FIGURES[1]}: gained without"] == "-0.250"
     assert found[1][f"{FIGURES[0]}: gained without"] == "+0.000"
+
+
+def test_several_objects_of_a_class_are_asked_for_one_by_one() -> None:
+    truth = Truth(
+        header=header(0), boxes=np.array([[i, 0, i + 5, 9] for i in range(4)], np.float32),
+        ids=np.arange(4, dtype=np.int32), labels=("player", "ball", "player", "player"),
+        visibility=np.array([1, 1, 0, 1], np.float32),
+    )  # fmt: skip
+
+    found = [(w.kind, w.object_id, set_) for w, set_ in asked(truth, ("ball", "player"), 3)]
+
+    assert found == [
+        ("ball", -1, ("policy.target=ball",)),
+        ("player", 0, ("policy.target=", "policy.prompt_box=[0.0, 0.0, 5.0, 9.0]")),
+        ("player", 3, ("policy.target=", "policy.prompt_box=[3.0, 0.0, 8.0, 9.0]")),
+    ]
+    assert len(list(asked(truth, ("player",), 1))) == 1
