@@ -1,7 +1,7 @@
 """Leave out each rule of the policies once: `python -m bench.rules [GRAPH] [--json FILE]`.
 
-Runs the graph in line on drawn clips, or on the source of `--source`: the ball asked for by its
-class, and referees and players each asked for by the box that they have in the first frame. In each
+Runs the graph in line on drawn clips, or on the source of `--source`: a target asked for by its
+class, as the ball, or by the box that it has in the first frame, as referees and players. In each
 run one rule is replaced by what would be there without it, or its setting by the value that makes
 it do nothing. Prints the share of the target inside the ROI and the tracker's IoU, over all frames
 in which the target is visible, and the difference to the run with all rules, paired by the
@@ -42,7 +42,6 @@ FIRST_CLIP = 50_000  # seeds on which rules may be chosen; figures of tables beg
 POLICIES = {  # as `planned` takes them
     "learned": str(ROOT / "operators" / "policy" / "policy.onnx"), "pursuit": "pursuit",
 }  # fmt: skip
-PROMPTED = ("referee", "player")
 FIGURES = ("share in the ROI", "IoU")
 Part = tuple[str, Any]  # module:name, and what stands there instead
 
@@ -209,11 +208,11 @@ def first_truth(plan: Plan) -> Truth:
 
 
 def asked(
-    truth: Truth, targets: Sequence[str], objects: int
+    truth: Truth, targets: Sequence[str], boxed: Sequence[str], objects: int
 ) -> Iterator[tuple[Watch, tuple[str, ...]]]:
-    """Yield how each target is asked for in a clip: by its class, or `objects` by first boxes."""
+    """Yield how targets are asked for in a clip: by class, or `objects` of one by first boxes."""
     for kind in targets:
-        if kind not in PROMPTED:
+        if kind not in boxed:
             yield Watch(kind=kind), (f"policy.target={kind}",)
             continue
         rows = [
@@ -276,14 +275,23 @@ def worded(middle: float, low: float, high: float) -> str:
 @click.option("--first-clip", default=FIRST_CLIP, show_default=True, type=click.IntRange(0))
 @click.option("--targets", default="ball,referee,player", show_default=True)
 @click.option(
-    "--objects", default=1, show_default=True, type=click.IntRange(1),
-    help="Referees and players of each clip that are asked for in turn.",
+    "--boxed",
+    default="referee,player",
+    show_default=True,
+    help="Classes of which objects are asked for by their first box.",
+)
+@click.option(
+    "--objects",
+    default=1,
+    show_default=True,
+    type=click.IntRange(1),
+    help="Objects of each boxed class in each clip that are asked for in turn.",
 )
 @click.option("--policies", default=",".join(POLICIES), show_default=True)
 @JSON
 def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], clips: int, frames: int,
-    first_clip: int, targets: str, objects: int, policies: str, path: Path | None,
+    first_clip: int, targets: str, boxed: str, objects: int, policies: str, path: Path | None,
 ) -> None:  # fmt: skip
     """Leave out each rule once."""
     cv2.setNumThreads(1)
@@ -304,7 +312,7 @@ def main(
     for clip, common in worlds.items():
         truth = first_truth(planned(graph, common, source=source))
         for policy, name, rule in track(cases, clip, console=Console(stderr=True)):
-            for watch, prompt in asked(truth, targets.split(","), objects):
+            for watch, prompt in asked(truth, targets.split(","), boxed.split(","), objects):
                 laid = (*common, *prompt, *(rule.changes if rule else ()))
                 plan = planned(graph, laid, policy=POLICIES[policy], source=source)
                 run(plan, rule, watch, frames)
@@ -315,7 +323,7 @@ def main(
     if path:
         report = facts() | {
             "bench": "rules", "graph": file_name(graph), "changes": list(changes),
-            "source": file_name(source) if source else "", "objects": objects,
+            "source": file_name(source) if source else "", "boxed": boxed, "objects": objects,
             "seed": first_clip, "clips": len(worlds), "frames": frames, "targets": targets,
             "interval": METHOD, "rows": result,
         }  # fmt: skip

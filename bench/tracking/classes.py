@@ -41,7 +41,8 @@ def planned(
 ) -> Plan:
     """Return the plan, in lockstep, with the graph's own classes where no other is asked for.
 
-    `source` is laid over the graph's own. `tracker` is NAME or NAME=FILE.onnx, `policy` one of `POLICIES` or FILE.onnx.
+    `source` is laid over the graph's own. `tracker` is NAME or NAME=FILE.onnx, `policy` one of
+    `POLICIES` or FILE.onnx.
     """
     other = tuple(c for c in changes if c.partition(".")[0] not in (TRACKER, POLICY))
     plan = load(graph, Overlay(source=source, changes=other, clock="lockstep"))

@@ -78,11 +78,13 @@ def test_several_objects_of_a_class_are_asked_for_one_by_one() -> None:
         visibility=np.array([1, 1, 0, 1], np.float32),
     )  # fmt: skip
 
-    found = [(w.kind, w.object_id, set_) for w, set_ in asked(truth, ("ball", "player"), 3)]
+    found = [
+        (w.kind, w.object_id, set_) for w, set_ in asked(truth, ("ball", "player"), ("player",), 3)
+    ]
 
     assert found == [
         ("ball", -1, ("policy.target=ball",)),
         ("player", 0, ("policy.target=", "policy.prompt_box=[0.0, 0.0, 5.0, 9.0]")),
         ("player", 3, ("policy.target=", "policy.prompt_box=[3.0, 0.0, 8.0, 9.0]")),
     ]
-    assert len(list(asked(truth, ("player",), 1))) == 1
+    assert len(list(asked(truth, ("player",), ("player",), 1))) == 1
