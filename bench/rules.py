@@ -5,7 +5,7 @@ class, as the ball, or by the box that it has in the first frame, as referees an
 run one rule is replaced by what would be there without it, or its setting by the value that makes
 it do nothing. Prints the share of the target inside the ROI and the tracker's IoU, over all frames
 in which the target is visible, and the difference to the run with all rules, paired by the
-target: what loses nothing can go.
+target: what loses nothing can go. The policies with all rules stand beside each other, too.
 """
 
 import json
@@ -250,6 +250,20 @@ def rows(found: Mapping[tuple[str, str, str], Mapping[str, Watch]]) -> Iterator[
         yield row | {"targets": len(clips)}
 
 
+def beside(found: Mapping[tuple[str, str, str], Mapping[str, Watch]]) -> Iterator[dict[str, Any]]:
+    """Yield, of each target, the figures of each policy with all rules, above the first of them."""
+    whole = {(policy, kind): clips for (policy, kind, name), clips in found.items() if name == ALL}
+    first = next(iter(whole))[0]
+    for (policy, kind), clips in whole.items():
+        row: dict[str, Any] = {"target": kind, "policy": policy}
+        for figure in FIGURES:
+            own = blocks(clips, figure)
+            row[figure] = round(mean(own).iou, 3)
+            above = difference(own, blocks(whole[first, kind], figure))
+            row[f"{figure}: above {first}"] = "" if policy == first else worded(*above)
+        yield row | {"targets": len(clips)}
+
+
 def blocks(clips: Mapping[str, Watch], figure: str) -> dict[str, Block]:
     """Return each clip's sum of a figure."""
     return {
@@ -288,10 +302,12 @@ def worded(middle: float, low: float, high: float) -> str:
     help="Objects of each boxed class in each clip that are asked for in turn.",
 )
 @click.option("--policies", default=",".join(POLICIES), show_default=True)
+@click.option("--whole", is_flag=True, help="Leave out nothing: only compare the policies.")
 @JSON
 def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], clips: int, frames: int,
-    first_clip: int, targets: str, boxed: str, objects: int, policies: str, path: Path | None,
+    first_clip: int, targets: str, boxed: str, objects: int, policies: str, whole: bool,
+    path: Path | None,
 ) -> None:  # fmt: skip
     """Leave out each rule once."""
     cv2.setNumThreads(1)
@@ -302,7 +318,7 @@ def main(
         (policy, name, rule)
         for policy in policies.split(",")
         for name, rule in {ALL: None, **RULES}.items()
-        if rule is None or rule.policy == policy
+        if rule is None or (rule.policy == policy and not whole)
     ]
     found: dict[tuple[str, str, str], dict[str, Watch]] = {}
     seeds = range(first_clip, first_clip + clips)
@@ -318,14 +334,17 @@ def main(
                 run(plan, rule, watch, frames)
                 of_rule = found.setdefault((policy, watch.kind, name), {})
                 of_rule[f"{clip}, {watch.object_id}"] = watch
-    result = list(rows(found))
-    Console().print(table(f"rules left out once, {len(worlds)} x {frames} frames", result))
+    result, policies_beside = list(rows(found)), list(beside(found))
+    over = f"{len(worlds)} x {frames} frames"
+    if not whole:
+        Console().print(table(f"rules left out once, {over}", result))
+    Console().print(table(f"policies with all rules, {over}", policies_beside))
     if path:
         report = facts() | {
             "bench": "rules", "graph": file_name(graph), "changes": list(changes),
             "source": file_name(source) if source else "", "boxed": boxed, "objects": objects,
             "seed": first_clip, "clips": len(worlds), "frames": frames, "targets": targets,
-            "interval": METHOD, "rows": result,
+            "interval": METHOD, "rows": policies_beside if whole else result,
         }  # fmt: skip
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(report, indent=1) + "\n")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.rules import ALL, FIGURES, RULES, Rule, Watch, asked, rows, without
+from bench.rules import ALL, FIGURES, RULES, Rule, Watch, asked, beside, rows, without
 from pipeline.errors import RunError
 from pipeline.messages import Frame, Percept, Truth
 from pipeline.testing import header
@@ -88,3 +88,18 @@ def test_several_objects_of_a_class_are_asked_for_one_by_one() -> None:
         ("player", 3, ("policy.target=", "policy.prompt_box=[3.0, 0.0, 8.0, 9.0]")),
     ]
     assert len(list(asked(truth, ("player",), ("player",), 1))) == 1
+
+
+def test_a_policy_stands_beside_the_first_one_paired_by_the_target() -> None:
+    half = {"1": watched(box=(10, 10, 20, 20), window=(0, 0, 15, 40))}
+    full = {"1": watched(box=(10, 10, 20, 20), window=(0, 0, 40, 40))}
+    runs = {("learned", "ball", ALL): half, ("learned", "ball", "a rule"): full}
+
+    found = list(beside({**runs, ("pursuit", "ball", ALL): full}))
+
+    assert [(row["policy"], row[FIGURES[0]]) for row in found] == [
+        ("learned", 0.25),
+        ("pursuit", 0.5),
+    ]
+    above = f"{FIGURES[0]}: above learned"
+    assert [row[above] for row in found] == ["", "+0.250"]
