@@ -50,7 +50,6 @@ Part = tuple[str, Any]  # module:name, and what stands there instead
 class Rule:
     """A rule of a policy, and how to do without it."""
 
-    policy: str  # of POLICIES
     parts: tuple[Part, ...] = ()  # replaced in operators.policy
     changes: tuple[str, ...] = ()  # settings of the graph
 
@@ -83,54 +82,53 @@ def unseen(tracks: Any, shown: Any) -> Any:
 
 LEARNED = {
     "a person carries the ball": Rule(
-        policy="learned", parts=(("target:carrier_of", returns(-1)),)
+        parts=(("target:carrier_of", returns(-1)),)
     ),
     "the prompted place is a candidate": Rule(
-        policy="learned", parts=(("decision:encode_place", returns(None)),)
+        parts=(("decision:encode_place", returns(None)),)
     ),
     "candidates have the prompt's size": Rule(
-        policy="learned", parts=(("decision:unlike", none_of),)
+        parts=(("decision:unlike", none_of),)
     ),
     "what the ROI refuted is out": Rule(
-        policy="learned", changes=("policy.least_genuine=0",)
+        changes=("policy.least_genuine=0",)
     ),
     "the target's own track is likelier": Rule(
-        policy="learned", changes=("policy.target_prior=1",)
+        changes=("policy.target_prior=1",)
     ),
-    "bound again where it was": Rule(policy="learned", parts=(("target:_back", returns(-1)),)),
-    "bound again by the choice": Rule(policy="learned", parts=(("target:_again", returns(-1)),)),
+    "bound again where it was": Rule(parts=(("target:_back", returns(-1)),)),
+    "bound again by the choice": Rule(parts=(("target:_again", returns(-1)),)),
     "places move with the camera": Rule(
-        policy="learned",
         parts=(("target:camera_motion", at_rest), ("conditioning:camera_motion", at_rest)),
     ),
     "people are searched": Rule(
-        policy="learned", parts=(("learned:out_of_sight", returns(False)),)
+        parts=(("learned:out_of_sight", returns(False)),)
     ),
     "what the ROI showed is an input": Rule(
-        policy="learned", parts=(("learned:remember", lambda memory, *_: memory),)
+        parts=(("learned:remember", lambda memory, *_: memory),)
     ),
 }  # fmt: skip
 PURSUIT = {
-    "a candidate is seen three times": Rule(policy="pursuit", changes=("policy.confirm=1",)),
-    "a rival must be clearly better": Rule(policy="pursuit", parts=(("pursuit:MARGIN", 0.0),)),
+    "a candidate is seen three times": Rule(changes=("policy.confirm=1",)),
+    "a rival must be clearly better": Rule(parts=(("pursuit:MARGIN", 0.0),)),
     "a rival takes the gaze": Rule(
-        policy="pursuit", parts=(("pursuit:challenged", lambda tracks, now, *_: now),)
+        parts=(("pursuit:challenged", lambda tracks, now, *_: now),)
     ),
-    "what the ROI showed counts": Rule(policy="pursuit", parts=(("pursuit:odds", unseen),)),
+    "what the ROI showed counts": Rule(parts=(("pursuit:odds", unseen),)),
     "an unlikely candidate is none": Rule(
-        policy="pursuit", changes=("policy.least_probability=0",)
+        changes=("policy.least_probability=0",)
     ),
     "the unverified is looked at first": Rule(
-        policy="pursuit", parts=(("pursuit:verifying", lambda tracks, now: now),)
+        parts=(("pursuit:verifying", lambda tracks, now: now),)
     ),
-    "a person nearby carries it": Rule(policy="pursuit", parts=(("pursuit:can_carry", nobody),)),
-    "it may be further away with time": Rule(policy="pursuit", parts=(("pursuit:GROWTH", 0.0),)),
+    "a person nearby carries it": Rule(parts=(("pursuit:can_carry", nobody),)),
+    "it may be further away with time": Rule(parts=(("pursuit:GROWTH", 0.0),)),
     "people are searched": Rule(
-        policy="pursuit", parts=(("pursuit:busiest", returns(None)),)
+        parts=(("pursuit:busiest", returns(None)),)
     ),
-    "the field is searched": Rule(policy="pursuit", changes=("policy.patience=1000000",)),
+    "the field is searched": Rule(changes=("policy.patience=1000000",)),
 }  # fmt: skip
-RULES: Mapping[str, Rule] = {**LEARNED, **PURSUIT}
+RULES = {"learned": LEARNED, "pursuit": PURSUIT}  # by policy
 
 
 @contextmanager
@@ -317,8 +315,7 @@ def main(
     cases = [
         (policy, name, rule)
         for policy in policies.split(",")
-        for name, rule in {ALL: None, **RULES}.items()
-        if rule is None or (rule.policy == policy and not whole)
+        for name, rule in {ALL: None, **({} if whole else RULES[policy])}.items()
     ]
     found: dict[tuple[str, str, str], dict[str, Watch]] = {}
     seeds = range(first_clip, first_clip + clips)

@@ -17,9 +17,12 @@ def part(place: str) -> Any:
     return getattr(import_module(f"operators.policy.{module}"), name)
 
 
-@pytest.mark.parametrize("name", [name for name, rule in RULES.items() if rule.parts])
-def test_a_rule_is_replaced_only_while_it_is_left_out(name: str) -> None:
-    rule = RULES[name]
+@pytest.mark.parametrize(
+    ("policy", "name"),
+    [(policy, name) for policy, of in RULES.items() for name, rule in of.items() if rule.parts],
+)
+def test_a_rule_is_replaced_only_while_it_is_left_out(policy: str, name: str) -> None:
+    rule = RULES[policy][name]
     before = [part(place) for place, _ in rule.parts]
     with without(rule):
         assert [part(place) for place, _ in rule.parts] == [other for _, other in rule.parts]
@@ -29,7 +32,7 @@ def test_a_rule_is_replaced_only_while_it_is_left_out(name: str) -> None:
 def test_a_rule_that_is_no_more_is_refused() -> None:
     with (
         pytest.raises(RunError, match="target:gone: expected a rule"),
-        without(Rule(policy="learned", parts=(("target:gone", 0),))),
+        without(Rule(parts=(("target:gone", 0),))),
     ):
         pass
 
