@@ -96,7 +96,6 @@ LEARNED = {
     "the target's own track is likelier": Rule(
         changes=("policy.target_prior=1",)
     ),
-    "bound again where it was": Rule(parts=(("target:_back", returns(-1)),)),
     "bound again by the choice": Rule(parts=(("target:_again", returns(-1)),)),
     "places move with the camera": Rule(
         parts=(("target:camera_motion", at_rest), ("conditioning:camera_motion", at_rest)),

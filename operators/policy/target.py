@@ -1,8 +1,7 @@
 """The target of a prompt (a box, a track id or a class), tracked over time.
 
 A target is bound to a track and follows it. When the track ends, its position moves with the camera
-or with its carrier (`carrier.py`) until it is bound again: to a track at that position, or to the
-policy's own choice.
+or with its carrier (`carrier.py`) until it is bound again, to the policy's own choice.
 """
 
 import difflib
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.carrier import PEOPLE, can_carry, carrier_of
-from operators.policy.gaze_plan import PLACE, of_class, row_of
+from operators.policy.gaze_plan import PLACE, row_of
 from operators.policy.motion import camera_motion
 from operators.policy.tokens import Array
 from pipeline import Geometry, SettingsError, Tracks
@@ -23,7 +22,6 @@ from pipeline.contract import BEFORE
 from pipeline.errors import FoveaError
 
 BIND_IOU = 0.1
-BACK_IOU = 0.3
 ALIKE = 2.0  # without overlap, a near box binds if sides differ by less than this factor
 SURE = 0.5  # probability from which a choice binds the target
 GROWTH = 0.1  # box sizes per frame by which the uncertainty grows
@@ -127,7 +125,7 @@ def follow(before: TargetState, spec: TargetSpec, tracks: Tracks, chosen: Choice
         now = replace(now, box=_moved(now, tracks, frames))
     row = row_of(tracks, now.bound_id)
     if row < 0 or (not spec.one and chosen.probability >= SURE):
-        found = _first(tracks, spec, now) if now.bound_id < 0 else _back(tracks, spec, now)
+        found = _first(tracks, spec, now) if now.bound_id < 0 else -1
         found = found if found >= 0 else _again(tracks, spec, now, chosen)
         row = found if found >= 0 else row
     return _bound(tracks, row, now, spec) if row >= 0 else now
@@ -225,18 +223,6 @@ def _first(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
     if not spec.one or not len(tracks.ids):
         return -1
     return in_box(tracks.boxes[:, -1], now.box)
-
-
-def _back(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
-    """Return the row of its class at the target's expected position, -1: none or uncertain.
-
-    It reconnects a track that ended and began again under another id.
-    """
-    if not spec.one or not len(tracks.ids) or now.is_carried:
-        return -1
-    overlap = iou(tracks.boxes[:, -1], now.box[None])[:, 0]
-    overlap[~(of_class(tracks, now.label) & tracks.visible[:, -1])] = 0
-    return int(overlap.argmax()) if overlap.max() >= BACK_IOU else -1
 
 
 def in_box(boxes: Array, box: Array) -> int:

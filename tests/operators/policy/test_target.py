@@ -109,20 +109,6 @@ def test_an_id_has_priority_over_a_box_and_without_its_track_nothing_is_bound() 
     assert not target.placed
 
 
-def test_a_track_that_begins_where_the_bound_one_ended_is_bound_instead() -> None:
-    bound = [tracks(k, (1, 1, 100, 100, 0), *CROWD) for k in range(2)]
-    spec = TargetSpec(box=(80, 80, 120, 120))
-
-    def bound_to(*here: tuple[int, int, float, float, float], unseen: tuple[int, ...] = ()) -> int:
-        return followed(spec, *bound, tracks(2, *here, *CROWD, unseen=unseen)).bound_id
-
-    assert bound_to((8, 1, 110, 100, 0)) == 8
-    assert bound_to((1, 1, 100, 100, 0), (8, 1, 100, 100, 0)) == 1  # it has not ended
-    assert bound_to((8, 1, 135, 100, 0)) == 1  # too far
-    assert bound_to((8, 0, 100, 100, 0)) == 1  # another class
-    assert bound_to((8, 1, 110, 100, 0), unseen=(8,)) == 1  # only predicted
-
-
 @dataclass(frozen=True)
 class Known:
     """Settings of a detector, as far as policies ask for them."""
