@@ -32,8 +32,6 @@ from pipeline.graph.plan import Plan
 from pipeline.run.report import Report, compose
 from pipeline.run.supervisor import Supervisor
 
-# else the policy leaves out copies that do not look like their originals
-EVERYBODY = "policy.least_genuine=0"
 COLUMNS = {
     "encoded": "encoded", "encoder_ms": "encoder ms", "policy_ms": "policy ms",
     "noting_ms": "noting ms", "together_ms": "together ms", "processor_ms": "processor ms",
@@ -54,7 +52,7 @@ def main(
     together: bool, frames: int, rounds: int, seed: int, path: Path | None,
 ) -> None:  # fmt: skip
     """Measure encoder, policy and loop by the number of objects."""
-    overlay = Overlay(source=source, changes=(EVERYBODY, *changes), clock="realtime")
+    overlay = Overlay(source=source, changes=changes, clock="realtime")
     plan = load(graph, overlay)
     counts = counts or COUNTS
     plans = {n: with_crowd(plan, CrowdSettings(objects=n, together=together)) for n in counts}

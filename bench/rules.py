@@ -90,9 +90,6 @@ LEARNED = {
     "candidates have the prompt's size": Rule(
         parts=(("decision:unlike", none_of),)
     ),
-    "what the ROI refuted is out": Rule(
-        changes=("policy.least_genuine=0",)
-    ),
     "the target's own track is likelier": Rule(
         changes=("policy.target_prior=1",)
     ),

@@ -43,7 +43,6 @@ class Rules:
     """The rules that a graph may set."""
 
     patience: int = 64  # frames for which the position of an unseen target stays a candidate
-    least_genuine: float = 0.2
     roi_channels: int = 576
     target_prior: float = 30.0  # prior odds of the target's own track; 1: none
 
@@ -58,7 +57,6 @@ def observe(
     ids = np.append(tracks.ids, np.int32(target.bound_id))
     looks = recall(memory, ids, seq=seq, observed=observed, channels=rules.roi_channels)
     candidates = encode_objects(tracks, looks[:-1])
-    candidates = without(candidates, memory.verdicts.refuted(candidates.ids, rules.least_genuine))
     if carrier_row(target, tracks) >= 0:  # a carried target has no path of its own
         candidates = without(candidates, candidates.ids == target.bound_id)
     spot = encode_place(target, spec, tracks, looks[-1], patience=rules.patience)

@@ -13,3 +13,4 @@ STRATEGY: Mapping[str, str] = {
 CARRIERS: Mapping[str, str] = {"held_by": "renamed; expected carriers"}
 PRIOR: Mapping[str, str] = {"loyalty": "renamed; expected target_prior"}
 FEEDBACK: Mapping[str, str] = {"feedback_score": "removed; what the consumer sees gained nothing"}
+VERIFIED: Mapping[str, str] = {"least_genuine": "removed; objects that the ROI refutes stay"}

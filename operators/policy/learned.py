@@ -25,7 +25,7 @@ from operators.policy.decision import (
     with_prior,
     without_candidates,
 )
-from operators.policy.former import CARRIERS, FEEDBACK, PRIOR, STRATEGY
+from operators.policy.former import CARRIERS, FEEDBACK, PRIOR, STRATEGY, VERIFIED
 from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath, stay
 from operators.policy.inputs import PolicyInputs
 from operators.policy.memory import fault as fault_of_looks
@@ -49,7 +49,7 @@ log = logging.getLogger(__name__)
 class LearnedPolicySettings(TargetSettings, NetworkSettings):
     """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
-    FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS, **PRIOR, **FEEDBACK}
+    FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS, **PRIOR, **FEEDBACK, **VERIFIED}
 
     # an ONNX file of operators.policy.train; empty: the shipped one; long_horizon: the shipped one
     # of To 10 and Tp 200
@@ -57,7 +57,6 @@ class LearnedPolicySettings(TargetSettings, NetworkSettings):
     selection: Selection = "argmax"  # the likeliest object, or one drawn by its probability
     seed: int = 0  # of what is drawn
     target_prior: float = Rules.target_prior  # see `decision.with_prior`; 1: the network alone
-    least_genuine: float = Rules.least_genuine  # below it an object is refuted
     horizon: int = 16  # Tp, frames planned
     observed: int = 4  # To, frames of looks that are remembered
     # frames for which the last position stays a candidate; then people are searched for a ball
@@ -72,8 +71,6 @@ class LearnedPolicySettings(TargetSettings, NetworkSettings):
         for name in ("place_patience", "seed"):
             if getattr(self, name) < 0:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
-        if not 0 <= self.least_genuine <= 1:
-            raise SettingsError(f"least_genuine: must be within 0..1, got {self.least_genuine}")
         if not 1 <= self.target_prior < math.inf:
             raise SettingsError(
                 f"target_prior: must be at least 1 and finite, got {self.target_prior}"
@@ -86,7 +83,7 @@ class LearnedPolicy(PolicyInputs[LearnedPolicySettings]):
     Only for non-finite inputs it makes no proposal, so that the last plan stays in effect.
     """
 
-    live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box", "least_genuine")
+    live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box")
 
     @classmethod
     def advise(cls, settings: LearnedPolicySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
@@ -173,7 +170,6 @@ class LearnedPolicy(PolicyInputs[LearnedPolicySettings]):
             return no_proposal()
         rules = Rules(
             patience=s.place_patience,
-            least_genuine=s.least_genuine,
             roi_channels=network.roi_channels,
             target_prior=s.target_prior,
         )

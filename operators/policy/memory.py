@@ -1,14 +1,10 @@
-"""Memory of ROI features per object: RoiFeatures in, features over To frames out.
-
-It also keeps the verdicts: an object that was refuted need not be looked at again.
-"""
+"""Memory of ROI features per object: RoiFeatures in, features over To frames out."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.verdicts import CAPACITY, Verdicts, judged, none_given
 from pipeline import RoiFeatures
 from pipeline.errors import MessageError
 
@@ -17,21 +13,19 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Memory:
-    """ROI features of the last frames, and the verdicts."""
+    """ROI features of the last frames."""
 
     seqs: NDArray[np.int64]  # (m,) frame of each look
     ids: NDArray[np.int32]  # (m,)
     features: Array  # (m, D)
-    verdicts: Verdicts
 
 
-def blank(capacity: int = CAPACITY) -> Memory:
+def blank() -> Memory:
     """Return an empty memory."""
     return Memory(
         seqs=np.zeros(0, np.int64),
         ids=np.zeros(0, np.int32),
         features=np.zeros((0, 0), np.float32),
-        verdicts=none_given(capacity),
     )
 
 
@@ -50,7 +44,6 @@ def remember(memory: Memory, seen: RoiFeatures, observed: int) -> Memory:
         seqs=np.concatenate([memory.seqs[recent], np.full(len(seen.ids), seq, np.int64)]),
         ids=np.concatenate([memory.ids[recent], seen.ids]),
         features=np.concatenate([known, seen.features]),
-        verdicts=judged(memory.verdicts, seen),
     )
 
 

@@ -189,20 +189,6 @@ def test_a_target_that_is_bound_to_no_track_changes_no_probability() -> None:
         assert with_prior(believed, candidates, target, 30) is believed
 
 
-def test_a_track_that_two_looks_refute_is_no_candidate(weights: Path) -> None:
-    subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights)))
-    subject.open()
-    before = subject.on_tracks(world(0))
-    for seq in (0, 1):
-        subject.on_features(look(seq, 2, genuine=0.05))
-
-    after = subject.on_tracks(world(1))
-
-    assert before.probability[:, 1].min() > 0
-    assert not after.probability[:, 1].any()
-    assert after.probability.sum(1) == pytest.approx(np.ones(16), abs=1e-5)
-
-
 def look(seq: int, *ids: int, genuine: float = 1.0, channels: int = ROI) -> RoiFeatures:
     return RoiFeatures(
         header=header(seq),
@@ -246,7 +232,7 @@ def test_changes_of_other_settings_keep_the_target(weights: Path) -> None:
     subject.on_tracks(world(0))
     target = subject.state().target
 
-    subject.on_settings(replace(settings, least_genuine=0.5))
+    subject.on_settings(replace(settings, target_prior=5.0))
 
     assert target.bound_id == 1
     assert subject.state().target is target

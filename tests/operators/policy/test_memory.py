@@ -1,4 +1,4 @@
-"""Memory: the latest looks through the ROI by frame, and whether they refute a track."""
+"""Memory: the latest looks through the ROI by frame."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def look(seq: int, genuine: float = 1.0, **features: float) -> RoiFeatures:
 
 
 def after(*looks: RoiFeatures) -> Memory:
-    memory = blank(8)
+    memory = blank()
     for seen in looks:
         memory = remember(memory, seen, observed=4)
     return memory
@@ -37,15 +37,6 @@ def test_looks_older_than_the_history_are_gone() -> None:
 
     assert memory.ids.tolist() == [2]
     assert not recall(memory, np.array([1], np.int32), seq=9, observed=4, channels=3).any()
-
-
-def test_two_looks_are_needed_to_refute_and_later_ones_can_change_it() -> None:
-    ids = np.array([1], np.int32)
-
-    assert not after(look(1, genuine=0.0, t1=1)).verdicts.refuted(ids, 0.2)[0]
-    twice = after(look(1, genuine=0.0, t1=1), look(2, genuine=0.1, t1=1))
-    assert twice.verdicts.refuted(ids, 0.2)[0]
-    assert not remember(twice, look(3, genuine=0.9, t1=1), 4).verdicts.refuted(ids, 0.2)[0]
 
 
 def test_looks_are_recalled_by_id_in_any_order() -> None:
