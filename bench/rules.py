@@ -114,9 +114,6 @@ PURSUIT = {
     "an unlikely candidate is none": Rule(
         changes=("policy.least_probability=0",)
     ),
-    "the unverified is looked at first": Rule(
-        parts=(("pursuit:verifying", lambda tracks, now: now),)
-    ),
     "a person nearby carries it": Rule(parts=(("pursuit:can_carry", nobody),)),
     "it may be further away with time": Rule(parts=(("pursuit:GROWTH", 0.0),)),
     "people are searched": Rule(

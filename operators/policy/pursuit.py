@@ -9,9 +9,9 @@ A small ball is lost by false locks rather than by bad predictions, hence these 
 - A target unseen for a few frames that was last near a person is carried by them: look there.
 - A candidate of a class is the target where its odds allow it, by its score and by what the ROI
   showed of it (verdicts.py): a weak one only once it was verified, and no longer when refuted.
-- Nobody near: look where it was seen last; after `patience` frames look at candidates without a
-  verdict, most worth in one window first; else where most people are, who may have the ball;
-  without people at the field, window by window, nearest to the last place first.
+- Nobody near: look where it was seen last. After `patience` frames one of a class is looked for
+  where most people are, who may have the ball; without people in the field, window by window,
+  nearest to the last place first.
 """
 
 import logging
@@ -36,7 +36,7 @@ from operators.policy.gaze_plan import (
     stay,
 )
 from operators.policy.inputs import PolicyInputs
-from operators.policy.search import DWELL, busiest, fullest, search
+from operators.policy.search import busiest, search
 from operators.policy.target import (
     BIND_IOU,
     GROWTH,
@@ -52,7 +52,6 @@ from pipeline.boxes import centres, iou, sizes
 
 log = logging.getLogger(__name__)
 MARGIN = 1.0  # of the odds, in nats, by which a rival must be better
-VERIFY_FRAMES = 4  # frames for which the ROI stays: two looks, and the delay of a command
 SURE = 0.8  # probability from which a candidate is the target to the consumer
 COAST = 3  # frames without detection before a person nearby counts as carrier
 CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
@@ -98,8 +97,6 @@ class PursuitState:
     rival_frames: int = 0
     sightings: Sightings = field(default_factory=none_seen)
     verdicts: Verdicts = field(default_factory=none_given)
-    verifying: NDArray[np.float32] = field(default_factory=lambda: np.zeros(4, np.float32))
-    verifying_until: int = -DWELL  # frame up to which the ROI stays at that box
 
     def asked_for(self, spec: TargetSpec) -> "PursuitState":
         """Return the state for this target, reset if the target is another one; keep verdicts."""
@@ -298,9 +295,6 @@ def unlocked(
         return stay(np.array(spec.box, np.float32), horizon), now
     ahead = header.seq + 1 + np.arange(horizon)
     if now.seen_seq < 0 or header.seq - now.seen_seq > rules.patience:
-        now = verifying(tracks, now) if rules.least_probability else now
-        if header.seq < now.verifying_until:
-            return stay(now.verifying, horizon), now
         crowd = busiest(tracks, spec, now.target or spec.label)
         if crowd is not None:
             return stay(crowd, horizon), now
@@ -309,17 +303,3 @@ def unlocked(
     frames = ahead - now.seen_seq
     places = search(header.geometry, centres(now.box), np.maximum(frames - rules.patience - 1, 0))
     return stay(np.where((frames <= rules.patience)[:, None], now.box, places), horizon), now
-
-
-def verifying(tracks: Tracks, now: PursuitState) -> PursuitState:
-    """Choose the window to verify candidates in, for a few frames, then as long none."""
-    seq = tracks.header.seq
-    if now.spec.one or seq < now.verifying_until + DWELL:
-        return now
-    fit = of_class(tracks, now.target or now.spec.label) & now.verdicts.open(tracks.ids)
-    rows = np.flatnonzero(fit & tracks.visible[:, -1])
-    if not len(rows):
-        return now
-    value = probability(rated(tracks, now)[rows])
-    box = fullest(tracks.boxes[rows, -1], value, tracks.header.geometry)
-    return replace(now, verifying=box, verifying_until=seq + VERIFY_FRAMES)

@@ -39,19 +39,6 @@ def tiles(geometry: Geometry) -> NDArray[np.float32]:
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2).astype(np.float32)
 
 
-def fullest(
-    boxes: NDArray[np.float32], values: NDArray[np.float32], geometry: Geometry
-) -> NDArray[np.float32]:
-    """Return the box (4,), around one of the objects, whose window holds the largest sum of values.
-
-    `boxes` is (n, 4) with n > 0, `values` (n,).
-    """
-    middles = centres(boxes)
-    half = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32) / 2
-    inside = (np.abs(middles[:, None] - middles[None]) < half).all(2)
-    return np.asarray(boxes[int((inside * values).sum(1).argmax())], np.float32)
-
-
 def busiest(tracks: Tracks, spec: TargetSpec, target: str) -> NDArray[np.float32] | None:
     """Return the person (4,) around whom a window shows most people that may have the target.
 
@@ -61,4 +48,8 @@ def busiest(tracks: Tracks, spec: TargetSpec, target: str) -> NDArray[np.float32
     rows = np.flatnonzero(can_carry(tracks, spec.carriers, target) & tracks.visible[:, -1])
     if spec.one or not target or not len(rows):
         return None
-    return fullest(tracks.boxes[rows, -1], np.ones(len(rows), np.float32), tracks.header.geometry)
+    boxes, geometry = tracks.boxes[rows, -1], tracks.header.geometry
+    half = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32) / 2
+    middles = centres(boxes)
+    inside = (np.abs(middles[:, None] - middles[None]) < half).all(2)
+    return np.asarray(boxes[int(inside.sum(1).argmax())], np.float32)

@@ -35,10 +35,6 @@ class Verdicts:
         found[row[settled]] = self.genuine[known[settled]]
         return found
 
-    def open(self, ids: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Return which objects have no verdict yet: (n,)."""
-        return ~np.isin(ids, self.ids[self.looks >= LOOKS])
-
 
 def none_given(capacity: int = CAPACITY) -> Verdicts:
     """Return no verdicts."""

@@ -210,21 +210,6 @@ def test_a_prompted_target_is_kept_whatever_the_roi_shows():
     assert all(shown(path, 300, 300) for path in paths)
 
 
-def test_without_a_target_the_window_with_most_unverified_candidates_is_looked_at_first():
-    frames = [
-        tracks(k, (1, 0, 300, 300, 0), (2, 0, 1500, 800, 0), (3, 0, 1560, 800, 0)) for k in range(6)
-    ]
-    for frame in frames:
-        frame.scores[:] = 0.3
-
-    paths = looked(*frames, genuine={})
-
-    centre = (paths[0].boxes[0, :2] + paths[0].boxes[0, 2:]) / 2
-    assert abs(centre[0] - 1530) <= 30
-    places = {tuple(path.boxes[0].tolist()) for path in paths}
-    assert len(places) > 1  # and after a few frames the field
-
-
 def test_a_probability_out_of_range_is_refused():
     with pytest.raises(SettingsError, match="least_probability: must be at least 0"):
         PursuitPolicySettings(least_probability=1.0)
