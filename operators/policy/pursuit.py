@@ -9,9 +9,9 @@ A small ball is lost by false locks rather than by bad predictions, hence these 
 - A target unseen for a few frames that was last near a person is carried by them: look there.
 - A candidate of a class is the target where its odds allow it, by its score and by what the ROI
   showed of it (verdicts.py): a weak one only once it was verified, and no longer when refuted.
-- Nobody near: look where it was seen last. After `patience` frames one of a class is looked for
-  where most people are, who may have the ball; without people in the field, window by window,
-  nearest to the last place first.
+- Nobody near: look where it was seen last. After `patience` frames what was asked for by its class
+  is looked for where most people are, who may have the ball; without people in the field, window
+  by window, nearest to the last place first.
 """
 
 import logging
@@ -65,7 +65,7 @@ class PursuitPolicySettings(TargetSettings):
 
     horizon: int = 16  # Tp, frames planned
     confirm: int = 3  # sightings before the gaze moves to a candidate
-    patience: int = 24  # frames to wait at the last place before searching
+    patience: int = 24  # frames to wait at the last place before searching for a class
     # of a candidate of class `target`, by score and looks, as the shipped detector and encoder give
     # them; 0: any
     least_probability: float = 0.0
@@ -293,6 +293,8 @@ def unlocked(
     header = tracks.header
     if now.seen_seq < 0 and spec.boxed:
         return stay(np.array(spec.box, np.float32), horizon), now
+    if now.seen_seq >= 0 and spec.one:  # one of many alike comes back to where it was lost
+        return stay(now.box, horizon), now
     ahead = header.seq + 1 + np.arange(horizon)
     if now.seen_seq < 0 or header.seq - now.seen_seq > rules.patience:
         crowd = busiest(tracks, spec, now.target or spec.label)

@@ -102,6 +102,14 @@ def test_a_ball_lost_in_the_open_is_expected_where_it_was_and_then_searched_for(
     assert (searching[:, 2] - searching[:, 0] == 480).all()
 
 
+def test_one_object_that_is_lost_is_waited_for_where_it_was():
+    seen = [tracks(k, (1, 1, 300, 300, 0)) for k in range(3)]
+
+    paths = pursue(*seen, *[tracks(k) for k in range(3, 80)], patience=10, target_id=1)
+
+    assert ((paths[-1].boxes[:, :2] + paths[-1].boxes[:, 2:]) / 2 == 300).all()
+
+
 def test_the_search_visits_the_whole_field_beginning_near_the_loss():
     seen = [tracks(k, (1, 0, 300, 300, 0)) for k in range(3)]
 
