@@ -324,6 +324,8 @@ def main(
                 run(plan, rule, watch, frames)
                 of_rule = found.setdefault((policy, watch.kind, name), {})
                 of_rule[f"{clip}, {watch.object_id}"] = watch
+    if not found:
+        raise RunError(f"--targets: expected what the first frames show, got {targets[:80]!r}")
     result, policies_beside = list(rows(found)), list(beside(found))
     over = f"{len(worlds)} x {frames} frames"
     if not whole:

@@ -61,6 +61,10 @@ PLACES = {
         section="Tracking under a pixel budget", order=31,
         title="Each rule of the policies left out once",
     ),
+    "rules_from_starts": Place(
+        section="Tracking under a pixel budget", order=32,
+        title="Each rule of the policies left out once, prompted by the true box from many starts",
+    ),
     "reading": Place(
         section="Reading under a pixel budget", order=1,
         title="Texts of a street that a frozen reader transcribes, by strategy and budget",

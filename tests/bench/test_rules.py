@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
-from bench.rules import ALL, FIGURES, RULES, Rule, Watch, asked, beside, rows, without
+from bench.rules import ALL, FIGURES, RULES, Rule, Watch, asked, beside, main, rows, without
 from pipeline.errors import RunError
 from pipeline.messages import Frame, Percept, Truth
 from pipeline.testing import header
@@ -106,3 +107,12 @@ def test_a_policy_stands_beside_the_first_one_paired_by_the_target() -> None:
     ]
     above = f"{FIGURES[0]}: above learned"
     assert [row[above] for row in found] == ["", "+0.250"]
+
+
+def test_targets_that_no_clip_shows_are_refused() -> None:
+    line = ["tracking", "--whole", "--clips", "1", "--frames", "2", "--targets", "cat"]
+
+    told = CliRunner().invoke(main, [*line, "--boxed", "cat"])
+
+    assert told.exit_code == 1
+    assert "--targets: expected what the first frames show, got 'cat'" in told.output
