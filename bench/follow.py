@@ -18,7 +18,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from bench.machine import facts
-from bench.options import Bench, file_name, on_graph
+from bench.options import Bench, file_name, on_graph, told_changes
 from bench.overlap import FIGURES, Spans, ends, plot, watched
 from pipeline.errors import RunError
 from pipeline.extras import need
@@ -49,7 +49,7 @@ def main(
     plan = watched(load(graph, Overlay(source=source, changes=changes, clock="realtime")))
     options = plan.node("capture").settings.get("options", {})
     told = {
-        "bench": "follow", **facts(), "graph": file_name(graph), "changes": changes,
+        "bench": "follow", **facts(), "graph": file_name(graph), "changes": told_changes(changes),
         "seed": options.get("seed"), "tracker": plan.node("tracker").operator,
         "minutes": minutes, "change_every_s": change_every_s,
     }  # fmt: skip

@@ -23,7 +23,7 @@ from rich.table import Table
 from bench.crowd import CrowdSettings, with_crowd
 from bench.loop import spread
 from bench.machine import facts
-from bench.options import JSON, Bench, file_name, on_graph
+from bench.options import JSON, Bench, file_name, on_graph, told_changes
 from bench.run_time import COUNTS
 from pipeline.bus.histogram import BUCKETS, Histogram
 from pipeline.graph.loader import load
@@ -66,7 +66,7 @@ def main(
             runs.append({"objects": count, **run(plans[count], frames)})
             progress.update(task, completed=(turn + 1) * frames)
     result = {"bench": "objects", **facts(), "graph": file_name(graph),
-              "source": file_name(source) if source else "", "changes": changes,
+              "source": file_name(source) if source else "", "changes": told_changes(changes),
               "together": together, "frames": frames, "rounds": rounds, "seed": seed,
               "summary": {str(n): summarise(_of(runs, n)) for n in counts},
               "runs": runs}  # fmt: skip

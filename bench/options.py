@@ -1,6 +1,6 @@
 """Options and error handling shared by benches that run a graph."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,19 @@ def file_name(path: Path) -> str:
     """
     found = path.resolve()
     return found.relative_to(ROOT).as_posix() if found.is_relative_to(ROOT) else found.name
+
+
+def told_changes(changes: Iterable[str]) -> list[str]:
+    """Return each NODE.SETTING=VALUE for a report: of a path what `file_name` makes of it.
+
+    >>> told_changes(["capture.path=/somewhere/SNMOT-116a", "capture.seed=7"])
+    ['capture.path=SNMOT-116a', 'capture.seed=7']
+    """
+    parted = [change.partition("=") for change in changes]
+    return [
+        f"{setting}={file_name(Path(value)) if Path(value).is_absolute() else value}"
+        for setting, _, value in parted
+    ]
 
 
 def on_graph(command: Callable[..., Any]) -> Callable[..., Any]:

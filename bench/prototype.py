@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.machine import facts
-from bench.options import JSON, Bench, file_name
+from bench.options import JSON, Bench, file_name, told_changes
 from bench.prototype_cycles import Cycle, shares
 from bench.prototype_objects import Prompter, class_rows, objects_of, prompt_rows
 from bench.prototype_run import Measured, measured
@@ -84,7 +84,8 @@ def main(
         console.print(table(TITLES[name], kept))
     if path:
         result = {
-            "bench": "prototype", **facts(), "graph": file_name(graph), "changes": changes,
+            "bench": "prototype", **facts(), "graph": file_name(graph),
+            "changes": told_changes(changes),
             "policy": load(graph).node("policy").operator, "profile": settings.profile,
             "seed": settings.seed, "cycles_per_target": cycles, "bursts_per_prompt": each,
             "frames_per_burst": _spread([len(c.seqs) for r in found.values() for c in r.cycles]),

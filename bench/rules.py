@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.progress import track
 
 from bench.machine import facts
-from bench.options import JSON, ROOT, Bench, file_name, on_graph
+from bench.options import JSON, ROOT, Bench, file_name, on_graph, told_changes
 from bench.prototype import table
 from bench.tracking.classes import planned
 from bench.tracking.intervals import METHOD, Block, difference, mean
@@ -333,7 +333,7 @@ def main(
     Console().print(table(f"policies with all rules, {over}", policies_beside))
     if path:
         report = facts() | {
-            "bench": "rules", "graph": file_name(graph), "changes": list(changes),
+            "bench": "rules", "graph": file_name(graph), "changes": told_changes(changes),
             "source": file_name(source) if source else "", "boxed": boxed, "objects": objects,
             "seed": first_clip, "clips": len(worlds), "frames": frames, "targets": targets,
             "interval": METHOD, "rows": policies_beside if whole else result,

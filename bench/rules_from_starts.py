@@ -109,8 +109,9 @@ def main(policies: str, path: Path | None, given: tuple[str, ...]) -> None:
     if path:
         options = options_for(policies.split(",")[0], given)
         report = facts() | {
-            "bench": "rules_from_starts", "seed": options.seed, "every": options.every,
-            "longest": options.longest, "cue": options.cue, "interval": METHOD, "rows": result,
+            "bench": "rules_from_starts", "data": Path(options.data).name, "seed": options.seed,
+            "every": options.every, "longest": options.longest, "cue": options.cue,
+            "interval": METHOD, "rows": result,
         }  # fmt: skip
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(report, indent=1) + "\n")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from bench.machine import facts
-from bench.options import JSON, Bench
+from bench.options import JSON, Bench, told_changes
 from bench.prototype import table
 from bench.tracking.intervals import Block, difference, mean
 from operators.policy import (
@@ -116,7 +116,7 @@ def main(
             "bench": "text_policies", **facts(), "first_seed": first_seed, "clips": clips,
             "frames": frames, "delay_frames": delay, "replan_frames": replan, "seed": seed,
             "roi_scale": roi_scale,
-            "policy": weights.name if weights else "reading.onnx", "changes": list(changes),
+            "policy": weights.name if weights else "reading.onnx", "changes": told_changes(changes),
             "rows": rows,
         }  # fmt: skip
         path.parent.mkdir(parents=True, exist_ok=True)
