@@ -333,7 +333,8 @@ def main(
     Console().print(table(f"policies with all rules, {over}", policies_beside))
     if path:
         report = facts() | {
-            "bench": "rules", "graph": file_name(graph), "changes": told_changes(changes),
+            "bench": "policies" if whole else "rules", "graph": file_name(graph),
+            "changes": told_changes(changes),
             "source": file_name(source) if source else "", "boxed": boxed, "objects": objects,
             "seed": first_clip, "clips": len(worlds), "frames": frames, "targets": targets,
             "interval": METHOD, "rows": policies_beside if whole else result,

@@ -61,6 +61,10 @@ PLACES = {
         section="Tracking under a pixel budget", order=31,
         title="Each rule of the policies left out once",
     ),
+    "policies": Place(
+        section="Tracking under a pixel budget", order=32,
+        title="The learned policy beside the rule pursuit, one target",
+    ),
     "rules_from_starts": Place(
         section="Tracking under a pixel budget", order=32,
         title="Each rule of the policies left out once, prompted by the true box from many starts",
