@@ -14,6 +14,7 @@ from types import FrameType
 from typing import Any
 
 LAST_RESORT_S = 30.0  # for cleaning up, after that the kernel ends the process
+AGAIN_S = 0.01  # until an exception that Python dropped is raised again
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")  # SIGHUP does not exist on every system
 Handler = Callable[[int, FrameType | None], Any]
 
@@ -39,34 +40,48 @@ def quit_at_once() -> None:
 def raising() -> Iterator[None]:
     """Make the first signal raise `Stopped` or `SystemExit`, and ignore later ones.
 
-    After `LAST_RESORT_S` the kernel ends the process.
+    Where Python drops the exception, as in a callback of a weak reference, it is raised again a
+    moment later. After `LAST_RESORT_S` the kernel ends the process.
     """
-    asked = first = 0
+    raised: BaseException | None = None
+    status = 0
 
     def note(number: int, _frame: FrameType | None) -> None:
-        nonlocal asked, first
-        asked += 1
-        if asked > 1:
+        nonlocal raised, status
+        if raised is not None:
             return
-        first = number
-        end_by_kernel(LAST_RESORT_S)
-        if number == signal.SIGINT:
-            raise Stopped
-        sys.exit(128 + number)
+        status = 128 + number
+        raised = Stopped() if number == signal.SIGINT else SystemExit(status)
+        raise_it(number, None)
 
-    before = _install(note)
+    def raise_it(_number: int, _frame: FrameType | None) -> None:
+        assert raised is not None
+        end_by_kernel(LAST_RESORT_S)
+        raise raised
+
+    def dropped(unraisable: "sys.UnraisableHookArgs") -> None:
+        if raised is None or unraisable.exc_value is not raised:
+            show(unraisable)
+            return
+        signal.signal(signal.SIGALRM, raise_it)
+        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+
+    before, show = _install(note), sys.unraisablehook
+    sys.unraisablehook = dropped
     try:
         yield
     except RuntimeError as error:
         # Python 3.11 wraps what a `__set_name__` raises, so also this in the import of a class
-        if asked and isinstance(error.__cause__, (KeyboardInterrupt, SystemExit)):
-            sys.exit(128 + first)
+        if raised is not None and error.__cause__ is raised:
+            sys.exit(status)
         raise
     finally:
-        if asked:
-            ignore()
-        else:
+        sys.unraisablehook = show
+        if raised is None:
             _restore(before, note)
+        else:
+            ignore()
+            end_by_kernel(LAST_RESORT_S)
 
 
 def ignore() -> None:

@@ -105,6 +105,47 @@ def test_a_signal_while_a_class_is_made_is_no_error(number: signal.Signals) -> N
     assert (ended.returncode, ended.stderr) == (128 + number, b"")
 
 
+DROPPED = """
+import os, signal, sys, time, weakref
+from pipeline import signals
+
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+class Watched:
+    pass
+
+class Dying:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGNAL)
+
+try:
+    with signals.raising():
+        ITS_END
+        for _ in range(2000):
+            time.sleep(0.01)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+ENDS = {
+    "a weak reference": """watched = Watched()
+        kept = weakref.ref(watched, lambda _: os.kill(os.getpid(), signal.SIGNAL))
+        del watched""",
+    "a finalizer": "Dying()",
+}
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("its_end", ENDS.values(), ids=ENDS)
+def test_a_signal_whose_exception_python_drops_ends_the_process(
+    its_end: str, number: signal.Signals
+) -> None:
+    text = DROPPED.replace("ITS_END", its_end).replace("SIGNAL", number.name)
+
+    ended = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
+
+    assert (ended.returncode, ended.stderr) == (128 + number, b"")
+
+
 IN_A_TEXT = """
 import os, signal, sys
 from pipeline import signals
