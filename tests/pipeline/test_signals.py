@@ -1,0 +1,104 @@
+"""A signal raises an exception that ends the command, wherever Python is at that moment."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.pipeline.run.test_signals import SIGNALS, no_signal_ignored
+
+IN_A_CLASS = """
+import os, signal, sys
+from pipeline import signals
+
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what starts the tests may ignore it, as nohup does
+
+class Field:
+    def __set_name__(self, *_):
+        os.kill(os.getpid(), signal.SIGNAL)
+
+try:
+    with signals.raising():
+        class Owner:
+            field = Field()
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_while_a_class_is_made_is_no_error(number: signal.Signals) -> None:
+    text = IN_A_CLASS.replace("SIGNAL", number.name)
+
+    ended = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
+
+    assert (ended.returncode, ended.stderr) == (128 + number, b"")
+
+
+DROPPED = """
+import os, signal, sys, time, weakref
+from pipeline import signals
+
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+class Watched:
+    pass
+
+class Dying:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGNAL)
+
+try:
+    with signals.raising():
+        ITS_END
+        for _ in range(2000):
+            time.sleep(0.01)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+ENDS = {
+    "a weak reference": """watched = Watched()
+        kept = weakref.ref(watched, lambda _: os.kill(os.getpid(), signal.SIGNAL))
+        del watched""",
+    "a finalizer": "Dying()",
+}
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("its_end", ENDS.values(), ids=ENDS)
+def test_a_signal_whose_exception_python_drops_ends_the_process(
+    its_end: str, number: signal.Signals
+) -> None:
+    text = DROPPED.replace("ITS_END", its_end).replace("SIGNAL", number.name)
+
+    ended = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
+
+    assert (ended.returncode, ended.stderr) == (128 + number, b"")
+
+
+IN_A_TEXT = """
+import os, signal, sys
+from pipeline import signals
+
+try:
+    with signals.raising():
+        exec("os.kill(os.getpid(), signal.SIGINT)")
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+def test_ctrl_c_while_a_text_is_executed_keeps_the_exit_status(tmp_path: Path) -> None:
+    (tmp_path / "executing.py").write_text(IN_A_TEXT)
+    paths = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+
+    with no_signal_ignored():
+        ended = subprocess.run(
+            [sys.executable, "-m", "executing"], env={**os.environ, "PYTHONPATH": paths},
+            capture_output=True, check=False,
+        )  # fmt: skip
+
+    assert (ended.returncode, ended.stderr) == (130, b"")
