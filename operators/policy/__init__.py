@@ -19,6 +19,7 @@ from operators.policy.round_robin import (
     RoundRobinPolicySettings,
     RoundRobinState,
 )
+from operators.policy.verifying import VerifyingPolicy, VerifyingPolicySettings, VerifyingState
 
 __all__ = [
     "CentredPolicy",
@@ -40,6 +41,9 @@ __all__ = [
     "RoundRobinPolicySettings",
     "RoundRobinState",
     "TextPolicyState",
+    "VerifyingPolicy",
+    "VerifyingPolicySettings",
+    "VerifyingState",
 ]
 
 

@@ -13,6 +13,8 @@ from pipeline.boxes import centres
 # of them right, 788 players, 83 referees); see operators/roi_features/CARD.md.
 WEIGHTS = {"ball": (-1.1, 2.3, 0.6), "player": (2.8, 0.9, 0.8), "referee": (2.3, 1.9, 0.8)}
 USUAL = WEIGHTS["ball"]  # of other classes
+# Of the odds, in nats, that a faint candidate is a ball, beside what operators.verify says of it
+FAINT = -2.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,6 +50,15 @@ def odds(tracks: Tracks, shown: NDArray[np.float32]) -> NDArray[np.float32]:
     bias, of_score, of_shown = by_class[np.clip(tracks.labels, 0, len(by_class) - 1)].T
     found = bias + of_score * logit(tracks.scores) + of_shown * logit(shown)
     return np.asarray(found, np.float32)
+
+
+def verified_odds(shown: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the logarithm of the odds of faint candidates by what the ROI showed: (n,).
+
+    `shown` (n,) is the probability at even odds of `operators.verify`; what it does not show has no
+    more than the odds of all.
+    """
+    return np.asarray(FAINT + logit(shown), np.float32)
 
 
 def probability(odds: NDArray[np.float32]) -> NDArray[np.float32]:

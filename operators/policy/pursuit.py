@@ -17,7 +17,7 @@ A small ball is lost by false locks rather than by bad predictions, hence these 
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,15 +103,18 @@ class PursuitState:
         return self if spec == self.spec else PursuitState(spec=spec, verdicts=self.verdicts)
 
 
-class PursuitPolicy(PolicyInputs[PursuitPolicySettings]):
-    """Always proposes windows: without objects, positions to look at."""
+S = TypeVar("S", bound=PursuitPolicySettings)
+
+
+class Pursuit(PolicyInputs[S]):
+    """What policies share that pursue one target: its state, and what changes it."""
 
     live: ClassVar[tuple[str, ...]] = (
         "target", "target_id", "prompt_box", "least_probability",
     )  # fmt: skip
 
     @classmethod
-    def advise(cls, settings: PursuitPolicySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+    def advise(cls, settings: S, upstream: Mapping[str, Any]) -> Iterable[str]:
         """Nothing; raises `SettingsError` for a class that the detector does not know."""
         check_known(settings.target, upstream)
         return ()
@@ -121,7 +124,7 @@ class PursuitPolicy(PolicyInputs[PursuitPolicySettings]):
         self._state = PursuitState(spec=self.settings.spec)
         self._names: Sequence[str] = ()  # of the classes that tracks have
 
-    def on_settings(self, settings: PursuitPolicySettings) -> None:
+    def on_settings(self, settings: S) -> None:
         """Change the target from the next plan on.
 
         Raises `SettingsError` for a class that the tracks do not have.
@@ -156,8 +159,16 @@ class PursuitPolicy(PolicyInputs[PursuitPolicySettings]):
             self._names = tracks.names
             if sentence := unknown_label(s.target, tracks.names):
                 log.warning(sentence)
-        plan, self._state = pursue(tracks, self._state, s)
-        return scanpath(tracks, plan)
+        return scanpath(tracks, self.plan(tracks))
+
+    def plan(self, tracks: Tracks) -> GazePlan:
+        """Return where to look in the frames after this one, and keep the new state."""
+        plan, self._state = pursue(tracks, self._state, self.settings)
+        return plan
+
+
+class PursuitPolicy(Pursuit[PursuitPolicySettings]):
+    """Always proposes windows: without objects, positions to look at."""
 
 
 def pursue(
@@ -173,12 +184,18 @@ def pursue(
     if row < 0:
         return unlocked(tracks, now, rules)
     now = noted(tracks, row, now, now.spec)
-    carrier = row_of(tracks, now.carrier_id)
-    if tracks.header.seq - now.seen_seq > COAST and carrier >= 0:
+    carrier = carrier_of(tracks, now)
+    if carrier >= 0:
         return stay(future(tracks, carrier, rules.horizon), rules.horizon), now
     if not told(tracks, row, now, rules):
         return stay(future(tracks, row, rules.horizon), rules.horizon), now
     return follow(tracks, row, rules.horizon), now
+
+
+def carrier_of(tracks: Tracks, now: PursuitState) -> int:
+    """Row of the person who carries a target that was unseen for some frames, -1: nobody."""
+    late = tracks.header.seq - now.seen_seq > COAST
+    return row_of(tracks, now.carrier_id) if late else -1
 
 
 def told(tracks: Tracks, row: int, now: PursuitState, rules: PursuitPolicySettings) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline import RoiFeatures
 
-CAPACITY = 100  # verdicts: four per object reported at once, as objects come and go
+CAPACITY = 400  # verdicts: four per object reported at once, as objects come and go
 LOOKS = 2  # views before a verdict counts
 WEIGHT = 0.5  # of the latest view in a verdict
 EVEN = 0.5  # a probability that says nothing
@@ -33,6 +33,13 @@ class Verdicts:
         row, known = np.nonzero(ids[:, None] == self.ids)
         settled = self.looks[known] >= LOOKS
         found[row[settled]] = self.genuine[known[settled]]
+        return found
+
+    def views(self, ids: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return how often the ROI showed each object: (n,)."""
+        found = np.zeros(len(ids), np.int32)
+        row, known = np.nonzero(ids[:, None] == self.ids)
+        found[row] = self.looks[known]
         return found
 
 

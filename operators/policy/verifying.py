@@ -1,0 +1,189 @@
+"""A policy that looks for a faint target: it verifies one candidate after another, then follows.
+
+A ball of two pixels in the context is one of fifty candidates, behind boots, lines and scraps. Full
+resolution tells them apart, if it is asked: the ROI shows the likeliest candidates one window after
+another, each in `looks` frames, until one of them is verified (operators.verify). From then on the
+rules are those of pursuit. A target that was followed for a while and is lost is waited for and
+looked for among people, not among faint candidates again.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.policy.candidates import probability, verified_odds
+from operators.policy.gaze_plan import GazePlan, follow, future, of_class, row_of, stay
+from operators.policy.pursuit import (
+    MARGIN,
+    Pursuit,
+    PursuitPolicySettings,
+    PursuitState,
+    carrier_of,
+    noted,
+    pursue,
+    unlocked,
+)
+from pipeline import Header, SettingsError, Tracks
+from pipeline.boxes import centres
+
+EDGE_PX = 30.0  # candidates nearer to the edge of a window are not judged there
+LATE = 6  # frames more than `looks` for which a candidate is waited for
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerifyingPolicySettings(PursuitPolicySettings):
+    """What a graph may set. A target asked for by id or box is followed as pursuit does."""
+
+    least_probability: float = 0.08  # of a candidate, once it was verified
+    looks: int = 5  # frames in which the ROI shows a candidate before it is believed
+    sought: int = 120  # frames for which faint candidates are looked at, from the first one on
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.looks < 2:  # a verdict needs two views
+            raise SettingsError(f"looks: must be at least 2, got {self.looks}")
+        if self.sought < 0:
+            raise SettingsError(f"sought: must be at least 0, got {self.sought}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchState:
+    """How far the search for a faint target has come."""
+
+    first_seq: int = -1  # the first frame with this target; -1: not yet
+    since_seq: int = -1  # when the present target was locked
+    followed: bool = False  # whether one was followed for `patience` frames
+    shown_id: int = -1  # the candidate that is being looked at
+    shown_seq: int = -1  # since when
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VerifyingState:
+    """State between frames; immutable."""
+
+    pursuit: PursuitState = field(default_factory=PursuitState)
+    search: SearchState = field(default_factory=SearchState)
+
+
+class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
+    """Always proposes windows, of candidates and of places as well as of the target."""
+
+    live: ClassVar[tuple[str, ...]] = (*Pursuit.live, "looks", "sought")
+
+    def open(self) -> None:
+        """Start without state."""
+        super().open()
+        self._search = SearchState()
+
+    def on_settings(self, settings: VerifyingPolicySettings) -> None:
+        """Change target or rules; another target is looked for from the beginning."""
+        before = self._state.spec
+        super().on_settings(settings)
+        if self._state.spec != before:
+            self._search = SearchState()
+
+    def on_stream(self, header: Header) -> None:
+        """Forget everything: ids of another stream are different objects."""
+        super().on_stream(header)
+        self._search = SearchState()
+
+    def state(self) -> Any:
+        """Return the state."""
+        return VerifyingState(pursuit=self._state, search=self._search)
+
+    def restore(self, state: Any) -> None:
+        """Take over the state of another instance, or of a `PursuitPolicy`."""
+        pursuit = state.pursuit if isinstance(state, VerifyingState) else state
+        same = pursuit.spec == self._state.spec
+        super().restore(pursuit)
+        if same and isinstance(state, VerifyingState):
+            self._search = state.search
+
+    def plan(self, tracks: Tracks) -> GazePlan:
+        """Return where to look in the frames after this one, and keep the new state."""
+        if self._state.spec.one:
+            believed = replace(self.settings, least_probability=0)  # it was shown, not found
+            plan, self._state = pursue(tracks, self._state, believed)
+        else:
+            plan, self._state, self._search = seek(tracks, self._state, self._search, self.settings)
+        return plan
+
+
+def seek(
+    tracks: Tracks, before: PursuitState, search: SearchState, rules: VerifyingPolicySettings
+) -> tuple[GazePlan, PursuitState, SearchState]:
+    """Return the plan for the frames after these tracks, and the new state."""
+    seq, horizon = tracks.header.seq, rules.horizon
+    if search.first_seq < 0:
+        search = replace(search, first_seq=seq)
+    now = locked_on(tracks, before, rules)
+    if now.locked != before.locked:
+        search = replace(search, since_seq=seq)
+    row = row_of(tracks, now.locked)
+    if row >= 0:
+        if seq - search.since_seq >= rules.patience:
+            search = replace(search, followed=True)
+        now = noted(tracks, row, now, now.spec)
+        carrier = carrier_of(tracks, now)
+        if carrier >= 0:
+            return stay(future(tracks, carrier, horizon), horizon), now, search
+        return follow(tracks, row, horizon), now, search
+    if not search.followed:  # it was none: nothing is known of the target
+        now = replace(now, seen_seq=-1, carrier_id=-1)
+        if seq - search.first_seq < rules.sought:
+            search = looked_at(tracks, now, search, rules)
+            row = row_of(tracks, search.shown_id)
+    if row >= 0:
+        return stay(future(tracks, row, horizon), horizon), now, search
+    plan, now = unlocked(tracks, now, rules)
+    return plan, now, search
+
+
+def locked_on(tracks: Tracks, now: PursuitState, rules: VerifyingPolicySettings) -> PursuitState:
+    """Keep, gain or change the track that is the target: the likeliest verified one."""
+    odds = verified_odds(now.verdicts.of(tracks.ids))
+    fit = of_class(tracks, now.spec.label) & (now.verdicts.views(tracks.ids) >= rules.looks)
+    fit &= probability(odds) >= rules.least_probability
+    own = row_of(tracks, now.locked)
+    rivals = np.where(fit & tracks.visible[:, -1], odds, -np.inf)
+    best = int(rivals.argmax()) if len(rivals) else -1
+    to_beat = odds[own] + MARGIN if own >= 0 and fit[own] else -np.inf
+    if best >= 0 and rivals[best] > to_beat:
+        return replace(now, locked=int(tracks.ids[best]))
+    return now if own >= 0 else replace(now, locked=-1)
+
+
+def looked_at(
+    tracks: Tracks, now: PursuitState, search: SearchState, rules: VerifyingPolicySettings
+) -> SearchState:
+    """Return the search with the candidate to look at: the one before, or the next.
+
+    The next is that around which a window shows most of what was not looked at often enough, by
+    score.
+    """
+    seq, views = tracks.header.seq, now.verdicts.views(tracks.ids)
+    row = row_of(tracks, search.shown_id)
+    late = seq - search.shown_seq > rules.looks + LATE
+    if row >= 0 and views[row] < rules.looks and not late:
+        return search
+    open_ones = of_class(tracks, now.spec.label) & (views < rules.looks)
+    worth = np.where(open_ones, tracks.scores * (1 - views / rules.looks), 0)
+    value = window_sums(tracks, worth)
+    possible = open_ones & tracks.visible[:, -1] & (tracks.ids != search.shown_id)
+    if not possible.any():
+        return replace(search, shown_id=-1, shown_seq=seq)
+    chosen = int(np.where(possible, value, -np.inf).argmax())
+    return replace(search, shown_id=int(tracks.ids[chosen]), shown_seq=seq)
+
+
+def window_sums(tracks: Tracks, worth: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return what the window around each track shows of `worth` (n,) away from its edge: (n,)."""
+    geometry = tracks.header.geometry
+    half = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32) / 2
+    whole = np.array([geometry.width_px, geometry.height_px], np.float32)
+    places = centres(tracks.boxes[:, -1])
+    middles = np.clip(places, half, np.maximum(whole - half, half))
+    shown = (np.abs(middles[:, None] - places[None]) < half - EDGE_PX).all(2)
+    return np.asarray((shown * worth[None]).sum(1))

@@ -1,0 +1,171 @@
+"""Verifying: faint candidates are looked at one after another until one is verified."""
+
+import numpy as np
+import pytest
+
+from operators.policy import (
+    PursuitPolicy,
+    PursuitPolicySettings,
+    VerifyingPolicy,
+    VerifyingPolicySettings,
+)
+from pipeline import RoiFeatures, Scanpath, SettingsError, Tracks
+from tests.operators.policy.made_up import tracks
+
+PLACES = {1: (300, 300), 2: (1500, 800), 3: (1500, 200)}
+
+
+def world(seq: int, *ids: int) -> Tracks:
+    """Return faint balls far apart, the first the faintest, and a crowd."""
+    crowd = [(20 + k, 1, 900.0 + 50 * k, 500.0, 0.0) for k in range(3)]
+    frame = tracks(seq, *[(k, 0, *PLACES[k], 0.0) for k in ids], *crowd)
+    frame.scores[: len(ids)] = [0.1 + 0.1 * k for k in ids]
+    return frame
+
+
+class Run:
+    """A policy in its loop: the ROI shows what the plan before looked at."""
+
+    def __init__(self, genuine: dict[int, float], **values: object) -> None:
+        settings = VerifyingPolicySettings(**{"target": "ball", "patience": 5} | values)
+        self.policy = VerifyingPolicy(settings)
+        self.policy.open()
+        self.genuine = genuine
+        self.seq = 0
+        self.path: Scanpath | None = None
+
+    def frame(self, *ids: int) -> Scanpath:
+        frame = world(self.seq, *ids)
+        shown = [k for k in ids if self.path is not None and self.looks_at(k)]
+        self.policy.on_features(
+            RoiFeatures(
+                header=frame.header,
+                ids=np.array(shown, np.int32),
+                features=np.zeros((len(shown), 3), np.float32),
+                genuine=np.array([self.genuine[k] for k in shown], np.float32),
+            )
+        )
+        self.path = self.policy.on_tracks(frame)
+        self.seq += 1
+        return self.path
+
+    def looks_at(self, object_id: int) -> bool:
+        assert self.path is not None
+        centre = (self.path.boxes[0, :2] + self.path.boxes[0, 2:]) / 2
+        away = np.abs(centre - PLACES[object_id])
+        return bool((away < (240, 135)).all())
+
+    def looked_at(self, frames: int, *ids: int) -> list[int]:
+        """Run; return the ball that is looked at in each frame, 0 for none."""
+        seen = []
+        for _ in range(frames):
+            self.frame(*ids)
+            seen.append(next((k for k in PLACES if self.looks_at(k)), 0))
+        return seen
+
+
+def test_candidates_are_looked_at_in_the_order_of_their_scores_until_one_is_verified():
+    run = Run({1: 0.9, 2: 0.02, 3: 0.02})
+
+    seen = run.looked_at(30, 1, 2, 3)
+
+    assert list(dict.fromkeys(seen)) == [3, 2, 1]
+    assert seen[-15:] == [1] * 15
+
+
+def test_the_consumer_is_told_of_a_verified_candidate_and_of_none_before():
+    run = Run({1: 0.02, 2: 0.9})
+
+    choices = [int(run.frame(1, 2).choice[0]) for _ in range(12)]
+
+    assert choices[:5] == [-1] * 5
+    assert choices[-1] == 2
+
+
+def test_a_window_that_shows_several_candidates_is_looked_at_first():
+    run = Run({1: 0.5, 2: 0.5, 3: 0.5})
+    frame = tracks(0, (1, 0, 300, 300, 0), (2, 0, 1500, 800, 0), (3, 0, 1560, 820, 0))
+    frame.scores[:] = (0.35, 0.2, 0.25)
+
+    path = run.policy.on_tracks(frame)
+
+    assert (path.boxes[0] > 790).sum() >= 2
+
+
+def test_a_candidate_that_is_likelier_takes_over():
+    run = Run({1: 0.98, 3: 0.5})
+    run.looked_at(10, 3)
+
+    assert run.looked_at(1, 1, 3) == [3]
+    for k in range(6):  # the ROI happens to show the other one, too
+        frame = world(run.seq + k, 1, 3)
+        run.policy.on_features(
+            RoiFeatures(
+                header=frame.header, ids=np.array([1], np.int32),
+                features=np.zeros((1, 3), np.float32), genuine=np.array([0.98], np.float32),
+            )
+        )  # fmt: skip
+        path = run.policy.on_tracks(frame)
+
+    assert path.choice[0] == 1
+
+
+def test_where_nothing_is_verified_people_are_looked_at_in_the_end():
+    run = Run({3: 0.02}, sought=8)
+    run.looked_at(8, 3)
+
+    run.frame(3)
+
+    assert run.path is not None
+    assert 800 < run.path.boxes[0, 0] < 1100
+
+
+def test_a_target_that_was_followed_is_waited_for_where_it_was_lost():
+    run = Run({1: 0.9, 2: 0.9}, patience=10)
+    assert run.looked_at(25, 1)[-1] == 1
+
+    assert run.looked_at(4, 2) == [1] * 4
+
+
+def test_what_was_locked_for_a_moment_is_forgotten():
+    run = Run({1: 0.9, 2: 0.3}, patience=20)
+    while run.frame(1).choice[0] != 1:
+        assert run.seq < 20
+
+    assert run.looked_at(3, 2)[-1] == 2
+
+
+def test_a_target_asked_for_by_box_is_pursued_as_ever():
+    run = Run({}, target="", prompt_box=(290.0, 290.0, 310.0, 310.0))
+
+    assert run.frame(1, 2).choice[0] == 1
+
+
+def test_another_instance_goes_on_where_this_one_was():
+    run = Run({1: 0.9})
+    run.looked_at(12, 1)
+    other = VerifyingPolicy(run.policy.settings)
+    other.open()
+
+    other.restore(run.policy.state())
+
+    assert other.on_tracks(world(run.seq, 1)).choice[0] == 1
+
+
+def test_it_takes_over_from_a_pursuit():
+    pursuit = PursuitPolicy(PursuitPolicySettings(target="ball"))
+    pursuit.open()
+    for seq in range(5):
+        pursuit.on_tracks(world(seq, 1))
+    other = VerifyingPolicy(VerifyingPolicySettings(target="ball"))
+    other.open()
+
+    other.restore(pursuit.state())
+
+    assert other.on_tracks(world(5, 1)).choice[0] == 1
+
+
+@pytest.mark.parametrize(("name", "value"), [("looks", 1), ("sought", -1)])
+def test_wrong_settings_are_told_in_a_sentence(name: str, value: int) -> None:
+    with pytest.raises(SettingsError, match=f"{name}: must be at least"):
+        VerifyingPolicySettings(**{name: value})
