@@ -41,6 +41,7 @@ ALL = "all rules"
 FIRST_CLIP = 50_000  # seeds on which rules may be chosen; figures of tables begin at 70,000
 POLICIES = {  # as `planned` takes them
     "learned": str(ROOT / "operators" / "policy" / "policy.onnx"), "pursuit": "pursuit",
+    "of the graph": "",
 }  # fmt: skip
 FIGURES = ("share in the ROI", "IoU")
 Part = tuple[str, Any]  # module:name, and what stands there instead
@@ -121,7 +122,7 @@ PURSUIT = {
     ),
     "the field is searched": Rule(changes=("policy.patience=1000000",)),
 }  # fmt: skip
-RULES = {"learned": LEARNED, "pursuit": PURSUIT}  # by policy
+RULES: dict[str, dict[str, Rule]] = {"learned": LEARNED, "pursuit": PURSUIT}  # by policy
 
 
 @contextmanager
@@ -144,6 +145,7 @@ class Watch:
     kind: str
     object_id: int = -1  # -1: any of the class
     values: dict[str, list[float]] = field(default_factory=lambda: {f: [] for f in FIGURES})
+    runs: int = 1
     _windows: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)  # by frame
     _answers: dict[int, Any] = field(default_factory=dict)
     _truths: dict[int, Truth] = field(default_factory=dict)
@@ -170,6 +172,12 @@ class Watch:
             self.values[FIGURES[1]].append(
                 0.0 if found is None else float(iou(found[None], box)[0, 0])
             )
+
+    def join(self, other: "Watch") -> None:
+        """Add a run with the same target from another start, which overlaps this one."""
+        self.runs += other.runs
+        for figure in FIGURES:
+            self.values[figure] += other.values[figure]
 
     def _own(self, truth: Truth) -> Any:
         for row, label in enumerate(truth.labels):
@@ -252,7 +260,7 @@ def beside(found: Mapping[tuple[str, str, str], Mapping[str, Watch]]) -> Iterato
             row[figure] = round(mean(own).iou, 3)
             above = difference(own, blocks(whole[first, kind], figure))
             row[f"{figure}: above {first}"] = "" if policy == first else worded(*above)
-        yield row | {"targets": len(clips)}
+        yield row | {"targets": len(clips), "runs": sum(w.runs for w in clips.values())}
 
 
 def blocks(clips: Mapping[str, Watch], figure: str) -> dict[str, Block]:
@@ -292,30 +300,42 @@ def worded(middle: float, low: float, high: float) -> str:
     type=click.IntRange(1),
     help="Objects of each boxed class in each clip that are asked for in turn.",
 )
-@click.option("--policies", default=",".join(POLICIES), show_default=True)
+@click.option("--policies", default=",".join(RULES), show_default=True)
+@click.option(
+    "--starts",
+    default=1,
+    show_default=True,
+    type=click.IntRange(1),
+    help="Of a source: runs that begin every --every frames of it, as its option `first`.",
+)
+@click.option("--every", default=8, show_default=True, type=click.IntRange(1), help="Frames.")
 @click.option("--whole", is_flag=True, help="Leave out nothing: only compare the policies.")
 @JSON
 def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], clips: int, frames: int,
-    first_clip: int, targets: str, boxed: str, objects: int, policies: str, whole: bool,
-    path: Path | None,
+    first_clip: int, targets: str, boxed: str, objects: int, policies: str, starts: int, every: int,
+    whole: bool, path: Path | None,
 ) -> None:  # fmt: skip
     """Leave out each rule once."""
     cv2.setNumThreads(1)
+    if starts > 1 and not source:
+        raise RunError("--starts: expected with --source, whose frames they are, got none")
     for name in policies.split(","):
         if name not in POLICIES:
             raise RunError(f"--policies: expected some of {', '.join(POLICIES)}, got {name[:40]!r}")
     cases = [
         (policy, name, rule)
         for policy in policies.split(",")
-        for name, rule in {ALL: None, **({} if whole else RULES[policy])}.items()
+        for name, rule in {ALL: None, **({} if whole else RULES.get(policy, {}))}.items()
     ]
     found: dict[tuple[str, str, str], dict[str, Watch]] = {}
     seeds = range(first_clip, first_clip + clips)
-    worlds = {"the source": changes} if source else {
-        f"clip {seed}": (*changes, f"capture.seed={seed}") for seed in seeds
-    }  # fmt: skip
-    for clip, common in worlds.items():
+    worlds = {f"clip {seed}": [(*changes, f"capture.seed={seed}")] for seed in seeds}
+    if source:
+        firsts = range(0, starts * every, every) if starts > 1 else ()
+        begun = [(*changes, f"capture.source_options.first={first}") for first in firsts]
+        worlds = {"the source": begun or [changes]}
+    for clip, common in ((clip, common) for clip, of in worlds.items() for common in of):
         truth = first_truth(planned(graph, common, source=source))
         for policy, name, rule in track(cases, clip, console=Console(stderr=True)):
             for watch, prompt in asked(truth, targets.split(","), boxed.split(","), objects):
@@ -323,11 +343,14 @@ def main(
                 plan = planned(graph, laid, policy=POLICIES[policy], source=source)
                 run(plan, rule, watch, frames)
                 of_rule = found.setdefault((policy, watch.kind, name), {})
-                of_rule[f"{clip}, {watch.object_id}"] = watch
+                if before := of_rule.get(f"{clip}, {watch.object_id}"):
+                    before.join(watch)
+                else:
+                    of_rule[f"{clip}, {watch.object_id}"] = watch
     if not found:
         raise RunError(f"--targets: expected what the first frames show, got {targets[:80]!r}")
     result, policies_beside = list(rows(found)), list(beside(found))
-    over = f"{len(worlds)} x {frames} frames"
+    over = f"{len(worlds)} x {frames} frames" + (f" from {starts} starts" if starts > 1 else "")
     if not whole:
         Console().print(table(f"rules left out once, {over}", result))
     Console().print(table(f"policies with all rules, {over}", policies_beside))
@@ -337,7 +360,8 @@ def main(
             "changes": told_changes(changes),
             "source": file_name(source) if source else "", "boxed": boxed, "objects": objects,
             "seed": first_clip, "clips": len(worlds), "frames": frames, "targets": targets,
-            "interval": METHOD, "rows": policies_beside if whole else result,
+            "starts": starts, "every": every if starts > 1 else 0, "interval": METHOD,
+            "rows": policies_beside if whole else result,
         }  # fmt: skip
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(report, indent=1) + "\n")

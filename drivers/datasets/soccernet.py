@@ -20,7 +20,7 @@ from drivers.datasets.sequence import (
     read_rows,
 )
 from drivers.source import Annotations
-from pipeline.errors import DriverError
+from pipeline.errors import DriverError, SettingsError
 
 _KEY = re.compile(r"trackletID_(\d+)")
 _REFEREES = {"main": "main referee", "side": "assistant referee"}
@@ -38,27 +38,32 @@ class Tracklet:
 class SoccerNetSequence:
     """A `FrameSource` over `<folder>/{seqinfo.ini, gameinfo.ini, img1/, gt/gt.txt}`.
 
-    `tracklets` gives the role of each id. A sequence without gt/gt.txt has no truth.
+    `tracklets` gives the role of each id. A sequence without gt/gt.txt has no truth. It begins with
+    its frame `first`, from 0 on.
     """
 
     shows = "soccer"
 
-    def __init__(self, *, path: str) -> None:
+    def __init__(self, *, path: str, first: int = 0) -> None:
         folder = Path(path)
         info = read_info(folder)
+        if not 0 <= first < info.length:
+            what = f"expected one of its {info.length} frames, from 0 on, got {first}"
+            raise SettingsError(f"first: {what}")
+        self._first = first
         self.size_px, self.rate_hz = info.size_px, info.rate_hz
-        self.length: int | None = info.length
+        self.length: int | None = info.length - first
         self._pictures = NumberedPictures(info)
         self.tracklets = read_tracklets(folder / "gameinfo.ini")
         self._truth = _read_truth(folder / "gt" / "gt.txt", self.tracklets)
 
     def picture(self, index: int) -> NDArray[np.uint8]:
         """Read frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
-        return self._pictures.picture(index)
+        return self._pictures.picture(self._first + index)
 
     def truth(self, index: int) -> Annotations | None:
         """Return the boxes in frame `index`; their visibility is unknown and set to 1."""
-        return None if self._truth is None else self._truth.get(index, no_objects())
+        return None if self._truth is None else self._truth.get(self._first + index, no_objects())
 
     def close(self) -> None:
         """Do nothing: no file is open between pictures."""

@@ -37,7 +37,7 @@ class VerifyingPolicySettings(PursuitPolicySettings):
     """What a graph may set. A target asked for by id or box is followed as pursuit does."""
 
     least_probability: float = 0.08  # of a candidate, once it was verified
-    looks: int = 5  # frames in which the ROI shows a candidate before it is believed
+    looks: int = 7  # frames in which the ROI shows a candidate before it is believed
     sought: int = 120  # frames for which faint candidates are looked at, from the first one on
 
     def __post_init__(self) -> None:

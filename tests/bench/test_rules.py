@@ -116,3 +116,21 @@ def test_targets_that_no_clip_shows_are_refused() -> None:
 
     assert told.exit_code == 1
     assert "--targets: expected what the first frames show, got 'cat'" in told.output
+
+
+def test_runs_from_several_starts_of_a_clip_are_one_target() -> None:
+    inside = watched(box=(0, 0, 10, 10), window=(0, 0, 20, 20))
+    (alone,) = beside({("learned", "ball", ALL): {"the source, -1": inside}})
+    inside.join(watched(box=(0, 0, 10, 10), window=(50, 50, 60, 60)))
+
+    (row,) = beside({("learned", "ball", ALL): {"the source, -1": inside}})
+
+    assert row["share in the ROI"] == alone["share in the ROI"] / 2
+    assert (row["targets"], row["runs"]) == (1, 2)
+
+
+def test_starts_without_a_source_are_refused() -> None:
+    result = CliRunner().invoke(main, ["--starts", "3"])
+
+    assert result.exit_code != 0
+    assert "--starts: expected with --source" in result.output

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.datasets.sequence import read_rows
 from drivers.datasets.soccernet import SoccerNetSequence, parse_role
-from pipeline.errors import DriverError
+from pipeline.errors import DriverError, SettingsError
 from tests.drivers.sequences import write_sequence
 from tests.shared_data import Footage
 
@@ -48,6 +48,27 @@ def test_pictures_come_in_order_at_the_rate_of_seqinfo(tmp_path: Path) -> None:
     assert sequence.truth(0) is None
     with pytest.raises(IndexError):
         sequence.picture(3)
+
+
+def test_a_sequence_may_begin_with_a_later_frame(tmp_path: Path) -> None:
+    path = str(write_sequence(tmp_path, gt=GT, gameinfo=GAME))
+    whole, rest = SoccerNetSequence(path=path), SoccerNetSequence(path=path, first=2)
+
+    assert rest.length == 1
+    assert (rest.picture(0) == whole.picture(2)).all()
+    truth = rest.truth(0)
+    assert truth is not None
+    assert truth.boxes.tolist() == [[12, 20, 17, 26]]
+    with pytest.raises(IndexError):
+        rest.picture(1)
+
+
+@pytest.mark.parametrize("first", [-1, 3])
+def test_a_first_frame_that_is_not_there_is_refused(tmp_path: Path, first: int) -> None:
+    path = str(write_sequence(tmp_path, gameinfo=GAME))
+
+    with pytest.raises(SettingsError, match=f"one of its 3 frames, from 0 on, got {first}"):
+        SoccerNetSequence(path=path, first=first)
 
 
 @pytest.mark.parametrize(

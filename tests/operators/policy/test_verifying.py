@@ -10,6 +10,7 @@ from operators.policy import (
     VerifyingPolicySettings,
 )
 from pipeline import RoiFeatures, Scanpath, SettingsError, Tracks
+from pipeline.settings import build
 from tests.operators.policy.made_up import tracks
 
 PLACES = {1: (300, 300), 2: (1500, 800), 3: (1500, 200)}
@@ -27,7 +28,8 @@ class Run:
     """A policy in its loop: the ROI shows what the plan before looked at."""
 
     def __init__(self, genuine: dict[int, float], **values: object) -> None:
-        settings = VerifyingPolicySettings(**{"target": "ball", "patience": 5} | values)
+        given = {"target": "ball", "patience": 5, "looks": 5} | values
+        settings = build(VerifyingPolicySettings, given, "policy")
         self.policy = VerifyingPolicy(settings)
         self.policy.open()
         self.genuine = genuine
@@ -64,7 +66,7 @@ class Run:
         return seen
 
 
-def test_candidates_are_looked_at_in_the_order_of_their_scores_until_one_is_verified():
+def test_candidates_are_looked_at_in_the_order_of_their_scores_until_one_is_verified() -> None:
     run = Run({1: 0.9, 2: 0.02, 3: 0.02})
 
     seen = run.looked_at(30, 1, 2, 3)
@@ -73,7 +75,7 @@ def test_candidates_are_looked_at_in_the_order_of_their_scores_until_one_is_veri
     assert seen[-15:] == [1] * 15
 
 
-def test_the_consumer_is_told_of_a_verified_candidate_and_of_none_before():
+def test_the_consumer_is_told_of_a_verified_candidate_and_of_none_before() -> None:
     run = Run({1: 0.02, 2: 0.9})
 
     choices = [int(run.frame(1, 2).choice[0]) for _ in range(12)]
@@ -82,7 +84,7 @@ def test_the_consumer_is_told_of_a_verified_candidate_and_of_none_before():
     assert choices[-1] == 2
 
 
-def test_a_window_that_shows_several_candidates_is_looked_at_first():
+def test_a_window_that_shows_several_candidates_is_looked_at_first() -> None:
     run = Run({1: 0.5, 2: 0.5, 3: 0.5})
     frame = tracks(0, (1, 0, 300, 300, 0), (2, 0, 1500, 800, 0), (3, 0, 1560, 820, 0))
     frame.scores[:] = (0.35, 0.2, 0.25)
@@ -92,7 +94,7 @@ def test_a_window_that_shows_several_candidates_is_looked_at_first():
     assert (path.boxes[0] > 790).sum() >= 2
 
 
-def test_a_candidate_that_is_likelier_takes_over():
+def test_a_candidate_that_is_likelier_takes_over() -> None:
     run = Run({1: 0.98, 3: 0.5})
     run.looked_at(10, 3)
 
@@ -110,7 +112,7 @@ def test_a_candidate_that_is_likelier_takes_over():
     assert path.choice[0] == 1
 
 
-def test_where_nothing_is_verified_people_are_looked_at_in_the_end():
+def test_where_nothing_is_verified_people_are_looked_at_in_the_end() -> None:
     run = Run({3: 0.02}, sought=8)
     run.looked_at(8, 3)
 
@@ -120,14 +122,14 @@ def test_where_nothing_is_verified_people_are_looked_at_in_the_end():
     assert 800 < run.path.boxes[0, 0] < 1100
 
 
-def test_a_target_that_was_followed_is_waited_for_where_it_was_lost():
+def test_a_target_that_was_followed_is_waited_for_where_it_was_lost() -> None:
     run = Run({1: 0.9, 2: 0.9}, patience=10)
     assert run.looked_at(25, 1)[-1] == 1
 
     assert run.looked_at(4, 2) == [1] * 4
 
 
-def test_what_was_locked_for_a_moment_is_forgotten():
+def test_what_was_locked_for_a_moment_is_forgotten() -> None:
     run = Run({1: 0.9, 2: 0.3}, patience=20)
     while run.frame(1).choice[0] != 1:
         assert run.seq < 20
@@ -135,13 +137,13 @@ def test_what_was_locked_for_a_moment_is_forgotten():
     assert run.looked_at(3, 2)[-1] == 2
 
 
-def test_a_target_asked_for_by_box_is_pursued_as_ever():
+def test_a_target_asked_for_by_box_is_pursued_as_ever() -> None:
     run = Run({}, target="", prompt_box=(290.0, 290.0, 310.0, 310.0))
 
     assert run.frame(1, 2).choice[0] == 1
 
 
-def test_another_instance_goes_on_where_this_one_was():
+def test_another_instance_goes_on_where_this_one_was() -> None:
     run = Run({1: 0.9})
     run.looked_at(12, 1)
     other = VerifyingPolicy(run.policy.settings)
@@ -152,7 +154,7 @@ def test_another_instance_goes_on_where_this_one_was():
     assert other.on_tracks(world(run.seq, 1)).choice[0] == 1
 
 
-def test_it_takes_over_from_a_pursuit():
+def test_it_takes_over_from_a_pursuit() -> None:
     pursuit = PursuitPolicy(PursuitPolicySettings(target="ball"))
     pursuit.open()
     for seq in range(5):
@@ -168,4 +170,4 @@ def test_it_takes_over_from_a_pursuit():
 @pytest.mark.parametrize(("name", "value"), [("looks", 1), ("sought", -1)])
 def test_wrong_settings_are_told_in_a_sentence(name: str, value: int) -> None:
     with pytest.raises(SettingsError, match=f"{name}: must be at least"):
-        VerifyingPolicySettings(**{name: value})
+        build(VerifyingPolicySettings, {name: value}, "policy")

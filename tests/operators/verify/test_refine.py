@@ -20,8 +20,8 @@ PERSON = ("player", 0.9, 600.0, 400.0, 100.0)
 def refined(
     context: Detections, closer: Detections | None, frame: Frame | None = None, **values: Any
 ) -> Detections:
-    given_ = {"detections": context, "closer": closer, "roi": frame or roi()}
-    (answer,) = drive(Refine, [given_], values)
+    together: dict[str, Any] = {"detections": context, "closer": closer, "roi": frame or roi()}
+    (answer,) = drive(Refine, [together], values)
     assert isinstance(answer, Detections)
     return answer
 

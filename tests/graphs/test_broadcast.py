@@ -1,0 +1,51 @@
+"""The graph that verifies faint candidates for a ball by a second detector in the ROI."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from click.testing import CliRunner
+
+from pipeline.boxes import centres, covered
+from pipeline.cli import commands
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.messages import Detections, Frame, Message, RoiFeatures, Scanpath, Truth
+from pipeline.run.inline import InlineRunner
+
+GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "broadcast.yaml"
+
+
+def test_the_graph_is_checked_without_a_warning() -> None:
+    result = CliRunner().invoke(commands, ["check", "broadcast"])
+
+    assert result.exit_code == 0, result.output
+    assert "warning" not in result.output
+
+
+def test_a_ball_is_looked_at_until_it_is_verified_and_then_followed() -> None:
+    windows: dict[int, Any] = {}
+    balls: dict[int, Any] = {}
+    last: dict[str, Message] = {}
+
+    def watch(output: str, message: Message) -> None:
+        if isinstance(message, Frame):  # its pixels are lent
+            if output == "capture.roi":
+                windows[message.header.seq] = message.window
+            return
+        last[output.partition(".")[0]] = message
+        if isinstance(message, Truth):
+            balls[message.header.seq] = message.boxes[message.labels.index("ball")][None]
+
+    with InlineRunner(load(GRAPH, Overlay(clock="lockstep")), watch=watch) as run:
+        assert len(list(run.run(45))) == 45
+
+    shown = [covered(balls[k], np.array(windows[k], np.float32))[0] for k in range(30, 45)]
+    assert np.mean(shown) > 0.8
+    plan, refined, verified = (last[name] for name in ("policy", "refine", "verify"))
+    assert isinstance(plan, Scanpath)
+    assert isinstance(refined, Detections)
+    assert isinstance(verified, RoiFeatures)
+    assert plan.choice[0] in verified.ids
+    found = centres(refined.boxes[refined.labels == refined.names.index("ball")])
+    assert np.abs(found - centres(balls[44])).max(1).min() < 8
