@@ -100,10 +100,11 @@ class PursuitState:
 
     def asked_for(self, spec: TargetSpec) -> "PursuitState":
         """Return the state for this target, reset if the target is another one; keep verdicts."""
-        return self if spec == self.spec else PursuitState(spec=spec, verdicts=self.verdicts)
+        return self if spec == self.spec else type(self)(spec=spec, verdicts=self.verdicts)
 
 
 S = TypeVar("S", bound=PursuitPolicySettings)
+State = TypeVar("State", bound=PursuitState)
 
 
 class Pursuit(PolicyInputs[S]):
@@ -112,6 +113,7 @@ class Pursuit(PolicyInputs[S]):
     live: ClassVar[tuple[str, ...]] = (
         "target", "target_id", "prompt_box", "least_probability",
     )  # fmt: skip
+    begins: ClassVar[type[PursuitState]] = PursuitState  # with a state of this class
 
     @classmethod
     def advise(cls, settings: S, upstream: Mapping[str, Any]) -> Iterable[str]:
@@ -121,7 +123,7 @@ class Pursuit(PolicyInputs[S]):
 
     def open(self) -> None:
         """Start without state."""
-        self._state = PursuitState(spec=self.settings.spec)
+        self._state = self.begins(spec=self.settings.spec)
         self._names: Sequence[str] = ()  # of the classes that tracks have
 
     def on_settings(self, settings: S) -> None:
@@ -136,7 +138,7 @@ class Pursuit(PolicyInputs[S]):
 
     def on_stream(self, header: Header) -> None:
         """Forget everything: ids of another stream are different objects."""
-        self._state = PursuitState(spec=self._state.spec)
+        self._state = self.begins(spec=self._state.spec)
 
     def state(self) -> PursuitState:
         """Return the state."""
@@ -171,9 +173,7 @@ class PursuitPolicy(Pursuit[PursuitPolicySettings]):
     """Always proposes windows: without objects, positions to look at."""
 
 
-def pursue(
-    tracks: Tracks, before: PursuitState, rules: PursuitPolicySettings
-) -> tuple[GazePlan, PursuitState]:
+def pursue(tracks: Tracks, before: State, rules: PursuitPolicySettings) -> tuple[GazePlan, State]:
     """Return the plan for the frames after these tracks, and the new state.
 
     Of `rules` its numbers count; the target is the state's.
@@ -207,7 +207,7 @@ def told(tracks: Tracks, row: int, now: PursuitState, rules: PursuitPolicySettin
     return bool(sure or not rules.least_probability)
 
 
-def locked_on(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> PursuitState:
+def locked_on(tracks: Tracks, now: State, rules: PursuitPolicySettings) -> State:
     """Keep, gain or change the track that is the target."""
     spec = now.spec
     if row_of(tracks, now.locked) >= 0:
@@ -266,7 +266,7 @@ def regained(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) ->
     return int(np.where(fit, value, -np.inf).argmax()) if fit.any() else -1
 
 
-def challenged(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> PursuitState:
+def challenged(tracks: Tracks, now: State, rules: PursuitPolicySettings) -> State:
     """Change to a rival that has been clearly better for `confirm` frames in succession."""
     fit, value = eligible(tracks, now, rules), rated(tracks, now)
     own = row_of(tracks, now.locked)
@@ -280,7 +280,7 @@ def challenged(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) 
     return replace(now, locked=rival, rival=-1, rival_frames=0)
 
 
-def noted(tracks: Tracks, row: int, now: PursuitState, spec: TargetSpec) -> PursuitState:
+def noted(tracks: Tracks, row: int, now: State, spec: TargetSpec) -> State:
     """Remember where the target is, what it is and who is beside it."""
     box, target = tracks.boxes[row, -1], tracks.name_of(row)
     if not tracks.visible[row, -1]:
@@ -299,9 +299,7 @@ def noted(tracks: Tracks, row: int, now: PursuitState, spec: TargetSpec) -> Purs
     )
 
 
-def unlocked(
-    tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings
-) -> tuple[GazePlan, PursuitState]:
+def unlocked(tracks: Tracks, now: State, rules: PursuitPolicySettings) -> tuple[GazePlan, State]:
     """Return where to look without a target: its carrier, its last position, then everywhere."""
     spec, horizon = now.spec, rules.horizon
     carrier = row_of(tracks, now.carrier_id)

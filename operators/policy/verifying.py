@@ -8,7 +8,7 @@ looked for among people, not among faint candidates again.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from operators.policy.pursuit import (
     pursue,
     unlocked,
 )
-from pipeline import Header, SettingsError, Tracks
+from pipeline import SettingsError, Tracks
 from pipeline.boxes import centres
 
 EDGE_PX = 30.0  # candidates nearer to the edge of a window are not judged there
@@ -60,10 +60,9 @@ class SearchState:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class VerifyingState:
+class VerifyingState(PursuitState):
     """State between frames; immutable."""
 
-    pursuit: PursuitState = field(default_factory=PursuitState)
     search: SearchState = field(default_factory=SearchState)
 
 
@@ -71,35 +70,12 @@ class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
     """Always proposes windows, of candidates and of places as well as of the target."""
 
     live: ClassVar[tuple[str, ...]] = (*Pursuit.live, "looks", "sought")
+    begins = VerifyingState
+    _state: VerifyingState
 
-    def open(self) -> None:
-        """Start without state."""
-        super().open()
-        self._search = SearchState()
-
-    def on_settings(self, settings: VerifyingPolicySettings) -> None:
-        """Change target or rules; another target is looked for from the beginning."""
-        before = self._state.spec
-        super().on_settings(settings)
-        if self._state.spec != before:
-            self._search = SearchState()
-
-    def on_stream(self, header: Header) -> None:
-        """Forget everything: ids of another stream are different objects."""
-        super().on_stream(header)
-        self._search = SearchState()
-
-    def state(self) -> Any:
+    def state(self) -> VerifyingState:
         """Return the state."""
-        return VerifyingState(pursuit=self._state, search=self._search)
-
-    def restore(self, state: Any) -> None:
-        """Take over the state of another instance, or of a `PursuitPolicy`."""
-        pursuit = state.pursuit if isinstance(state, VerifyingState) else state
-        same = pursuit.spec == self._state.spec
-        super().restore(pursuit)
-        if same and isinstance(state, VerifyingState):
-            self._search = state.search
+        return self._state
 
     def plan(self, tracks: Tracks) -> GazePlan:
         """Return where to look in the frames after this one, and keep the new state."""
@@ -107,15 +83,15 @@ class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
             believed = replace(self.settings, least_probability=0)  # it was shown, not found
             plan, self._state = pursue(tracks, self._state, believed)
         else:
-            plan, self._state, self._search = seek(tracks, self._state, self._search, self.settings)
+            plan, self._state = seek(tracks, self._state, self.settings)
         return plan
 
 
 def seek(
-    tracks: Tracks, before: PursuitState, search: SearchState, rules: VerifyingPolicySettings
-) -> tuple[GazePlan, PursuitState, SearchState]:
+    tracks: Tracks, before: VerifyingState, rules: VerifyingPolicySettings
+) -> tuple[GazePlan, VerifyingState]:
     """Return the plan for the frames after these tracks, and the new state."""
-    seq, horizon = tracks.header.seq, rules.horizon
+    seq, horizon, search = tracks.header.seq, rules.horizon, before.search
     if search.first_seq < 0:
         search = replace(search, first_seq=seq)
     now = locked_on(tracks, before, rules)
@@ -125,23 +101,25 @@ def seek(
     if row >= 0:
         if seq - search.since_seq >= rules.patience:
             search = replace(search, followed=True)
-        now = noted(tracks, row, now, now.spec)
+        now = replace(noted(tracks, row, now, now.spec), search=search)
         carrier = carrier_of(tracks, now)
         if carrier >= 0:
-            return stay(future(tracks, carrier, horizon), horizon), now, search
-        return follow(tracks, row, horizon), now, search
+            return stay(future(tracks, carrier, horizon), horizon), now
+        return follow(tracks, row, horizon), now
     if not search.followed:  # it was none: nothing is known of the target
         now = replace(now, seen_seq=-1, carrier_id=-1)
         if seq - search.first_seq < rules.sought:
             search = looked_at(tracks, now, search, rules)
             row = row_of(tracks, search.shown_id)
+    now = replace(now, search=search)
     if row >= 0:
-        return stay(future(tracks, row, horizon), horizon), now, search
-    plan, now = unlocked(tracks, now, rules)
-    return plan, now, search
+        return stay(future(tracks, row, horizon), horizon), now
+    return unlocked(tracks, now, rules)
 
 
-def locked_on(tracks: Tracks, now: PursuitState, rules: VerifyingPolicySettings) -> PursuitState:
+def locked_on(
+    tracks: Tracks, now: VerifyingState, rules: VerifyingPolicySettings
+) -> VerifyingState:
     """Keep, gain or change the track that is the target: the likeliest verified one."""
     odds = verified_odds(now.verdicts.of(tracks.ids))
     fit = of_class(tracks, now.spec.label) & (now.verdicts.views(tracks.ids) >= rules.looks)

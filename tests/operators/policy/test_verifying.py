@@ -3,13 +3,9 @@
 import numpy as np
 import pytest
 
-from operators.policy import (
-    PursuitPolicy,
-    PursuitPolicySettings,
-    VerifyingPolicy,
-    VerifyingPolicySettings,
-)
-from pipeline import RoiFeatures, Scanpath, SettingsError, Tracks
+from operators.policy import VerifyingPolicy, VerifyingPolicySettings
+from pipeline import RoiFeatures, Scanpath, SettingsError, Tracks, codec
+from pipeline.node.operator_state import restore
 from pipeline.settings import build
 from tests.operators.policy.made_up import tracks
 
@@ -143,28 +139,17 @@ def test_a_target_asked_for_by_box_is_pursued_as_ever() -> None:
     assert run.frame(1, 2).choice[0] == 1
 
 
-def test_another_instance_goes_on_where_this_one_was() -> None:
+def test_its_state_crosses_a_swap() -> None:
     run = Run({1: 0.9})
     run.looked_at(12, 1)
     other = VerifyingPolicy(run.policy.settings)
     other.open()
 
-    other.restore(run.policy.state())
+    answer = restore(other, codec.dumps(run.policy.state()))
 
+    assert answer == "carried over"
+    assert other.state().search == run.policy.state().search
     assert other.on_tracks(world(run.seq, 1)).choice[0] == 1
-
-
-def test_it_takes_over_from_a_pursuit() -> None:
-    pursuit = PursuitPolicy(PursuitPolicySettings(target="ball"))
-    pursuit.open()
-    for seq in range(5):
-        pursuit.on_tracks(world(seq, 1))
-    other = VerifyingPolicy(VerifyingPolicySettings(target="ball"))
-    other.open()
-
-    other.restore(pursuit.state())
-
-    assert other.on_tracks(world(5, 1)).choice[0] == 1
 
 
 @pytest.mark.parametrize(("name", "value"), [("looks", 1), ("sought", -1)])
