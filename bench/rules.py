@@ -335,6 +335,7 @@ def main(
         firsts = range(0, starts * every, every) if starts > 1 else ()
         begun = [(*changes, f"capture.source_options.first={first}") for first in firsts]
         worlds = {"the source": begun or [changes]}
+        first_truth(planned(graph, worlds["the source"][-1], source=source))  # has it so many?
     for clip, common in ((clip, common) for clip, of in worlds.items() for common in of):
         truth = first_truth(planned(graph, common, source=source))
         for policy, name, rule in track(cases, clip, console=Console(stderr=True)):
@@ -350,7 +351,9 @@ def main(
     if not found:
         raise RunError(f"--targets: expected what the first frames show, got {targets[:80]!r}")
     result, policies_beside = list(rows(found)), list(beside(found))
-    over = f"{len(worlds)} x {frames} frames" + (f" from {starts} starts" if starts > 1 else "")
+    over = f"{len(worlds)} x {frames} frames"
+    if starts > 1:
+        over = f"up to {frames} frames from each of {starts} starts"
     if not whole:
         Console().print(table(f"rules left out once, {over}", result))
     Console().print(table(f"policies with all rules, {over}", policies_beside))

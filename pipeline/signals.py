@@ -4,10 +4,12 @@ While the command line loads, a signal ends the process at once. Afterwards an e
 command (`raising`), unless the command polls for signals itself (`Interruption`).
 """
 
+import _thread
 import contextlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -45,26 +47,30 @@ def raising() -> Iterator[None]:
     """
     raised: BaseException | None = None
     status = 0
+    again = False
 
     def note(number: int, _frame: FrameType | None) -> None:
-        nonlocal raised, status
-        if raised is not None:
+        nonlocal raised, status, again
+        if raised is None:
+            status = 128 + number
+            raised = Stopped() if number == signal.SIGINT else SystemExit(status)
+            end_by_kernel(LAST_RESORT_S)
+        elif not again:
             return
-        status = 128 + number
-        raised = Stopped() if number == signal.SIGINT else SystemExit(status)
-        raise_it(number, None)
-
-    def raise_it(_number: int, _frame: FrameType | None) -> None:
-        assert raised is not None
-        end_by_kernel(LAST_RESORT_S)
+        again = False
         raise raised
 
     def dropped(unraisable: "sys.UnraisableHookArgs") -> None:
-        if raised is None or unraisable.exc_value is not raised:
+        nonlocal again
+        found = unraisable.exc_value
+        if raised is None or raised not in (found, getattr(found, "__cause__", None)):
             show(unraisable)
             return
-        signal.signal(signal.SIGALRM, raise_it)
-        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+        again = True
+        # not by SIGALRM, which the kernel keeps for the end
+        timer = threading.Timer(AGAIN_S, _thread.interrupt_main, (status - 128,))
+        timer.daemon = True
+        timer.start()
 
     before, show = _install(note), sys.unraisablehook
     sys.unraisablehook = dropped
@@ -81,7 +87,6 @@ def raising() -> Iterator[None]:
             _restore(before, note)
         else:
             ignore()
-            end_by_kernel(LAST_RESORT_S)
 
 
 def ignore() -> None:

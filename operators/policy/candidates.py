@@ -13,7 +13,8 @@ from pipeline.boxes import centres
 # of them right, 788 players, 83 referees); see operators/roi_features/CARD.md.
 WEIGHTS = {"ball": (-1.1, 2.3, 0.6), "player": (2.8, 0.9, 0.8), "referee": (2.3, 1.9, 0.8)}
 USUAL = WEIGHTS["ball"]  # of other classes
-# Of the odds, in nats, that a faint candidate is a ball, beside what operators.verify says of it
+# The logarithm of the odds that a faint candidate is a ball before the ROI showed it: the bias of
+# the regression of operators.verify
 FAINT = -2.0
 
 

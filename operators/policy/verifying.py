@@ -28,17 +28,23 @@ from operators.policy.pursuit import (
 from pipeline import SettingsError, Tracks
 from pipeline.boxes import centres
 
-EDGE_PX = 30.0  # candidates nearer to the edge of a window are not judged there
+EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge nothing is judged
 LATE = 6  # frames more than `looks` for which a candidate is waited for
+GIVEN_UP = 16  # candidates that were never judged are passed over, so many at once
 
 
 @dataclass(frozen=True, kw_only=True)
 class VerifyingPolicySettings(PursuitPolicySettings):
-    """What a graph may set. A target asked for by id or box is followed as pursuit does."""
+    """What a graph may set. A target asked for by id or box is followed as pursuit does.
 
-    least_probability: float = 0.08  # of a candidate, once it was verified
+    One of a class needs `looks` in place of `confirm`.
+    """
+
+    least_probability: float = (
+        0.08  # of a verified candidate; .12 has one of which nothing is known
+    )
     looks: int = 7  # frames in which the ROI shows a candidate before it is believed
-    sought: int = 120  # frames for which faint candidates are looked at, from the first one on
+    sought: int = 120  # frames in all for which faint candidates are looked at
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -52,11 +58,13 @@ class VerifyingPolicySettings(PursuitPolicySettings):
 class SearchState:
     """How far the search for a faint target has come."""
 
-    first_seq: int = -1  # the first frame with this target; -1: not yet
+    spent: int = 0  # frames in which candidates were looked at
     since_seq: int = -1  # when the present target was locked
     followed: bool = False  # whether one was followed for `patience` frames
+    refuted: int = 0  # frames in succession in which the ROI refuted the present target
     shown_id: int = -1  # the candidate that is being looked at
     shown_seq: int = -1  # since when
+    given_up: tuple[int, ...] = ()  # the last ones that the ROI could not judge
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,26 +99,20 @@ def seek(
     tracks: Tracks, before: VerifyingState, rules: VerifyingPolicySettings
 ) -> tuple[GazePlan, VerifyingState]:
     """Return the plan for the frames after these tracks, and the new state."""
-    seq, horizon, search = tracks.header.seq, rules.horizon, before.search
-    if search.first_seq < 0:
-        search = replace(search, first_seq=seq)
-    now = locked_on(tracks, before, rules)
-    if now.locked != before.locked:
-        search = replace(search, since_seq=seq)
-    row = row_of(tracks, now.locked)
+    now, horizon = locked_on(tracks, before, rules), rules.horizon
+    search, row = now.search, row_of(tracks, now.locked)
     if row >= 0:
-        if seq - search.since_seq >= rules.patience:
-            search = replace(search, followed=True)
-        now = replace(noted(tracks, row, now, now.spec), search=search)
+        now = noted(tracks, row, now, now.spec)
         carrier = carrier_of(tracks, now)
         if carrier >= 0:
             return stay(future(tracks, carrier, horizon), horizon), now
         return follow(tracks, row, horizon), now
     if not search.followed:  # it was none: nothing is known of the target
         now = replace(now, seen_seq=-1, carrier_id=-1)
-        if seq - search.first_seq < rules.sought:
+        if search.spent < rules.sought:
             search = looked_at(tracks, now, search, rules)
             row = row_of(tracks, search.shown_id)
+            search = replace(search, spent=search.spent + (row >= 0))
     now = replace(now, search=search)
     if row >= 0:
         return stay(future(tracks, row, horizon), horizon), now
@@ -120,17 +122,28 @@ def seek(
 def locked_on(
     tracks: Tracks, now: VerifyingState, rules: VerifyingPolicySettings
 ) -> VerifyingState:
-    """Keep, gain or change the track that is the target: the likeliest verified one."""
+    """Keep, gain or change the track that is the target: the likeliest verified one.
+
+    One that the ROI refuted in `looks` frames in succession is let go.
+    """
     odds = verified_odds(now.verdicts.of(tracks.ids))
     fit = of_class(tracks, now.spec.label) & (now.verdicts.views(tracks.ids) >= rules.looks)
     fit &= probability(odds) >= rules.least_probability
-    own = row_of(tracks, now.locked)
+    own, search = row_of(tracks, now.locked), now.search
+    refuted = search.refuted + 1 if own >= 0 and not fit[own] else 0
     rivals = np.where(fit & tracks.visible[:, -1], odds, -np.inf)
     best = int(rivals.argmax()) if len(rivals) else -1
     to_beat = odds[own] + MARGIN if own >= 0 and fit[own] else -np.inf
-    if best >= 0 and rivals[best] > to_beat:
-        return replace(now, locked=int(tracks.ids[best]))
-    return now if own >= 0 else replace(now, locked=-1)
+    locked, since_seq = now.locked, search.since_seq
+    if best >= 0 and best != own and rivals[best] > to_beat:
+        locked, since_seq, refuted = int(tracks.ids[best]), tracks.header.seq, 0
+    elif own < 0 or refuted >= rules.looks:
+        locked, refuted = -1, 0
+    followed = locked >= 0 and not refuted and tracks.header.seq - since_seq >= rules.patience
+    search = replace(
+        search, since_seq=since_seq, refuted=refuted, followed=search.followed or followed
+    )
+    return replace(now, locked=locked, search=search)
 
 
 def looked_at(
@@ -146,14 +159,17 @@ def looked_at(
     late = seq - search.shown_seq > rules.looks + LATE
     if row >= 0 and views[row] < rules.looks and not late:
         return search
+    given_up = search.given_up
+    if row >= 0 and views[row] < rules.looks:
+        given_up = (*given_up, search.shown_id)[-GIVEN_UP:]
     open_ones = of_class(tracks, now.spec.label) & (views < rules.looks)
     worth = np.where(open_ones, tracks.scores * (1 - views / rules.looks), 0)
     value = window_sums(tracks, worth)
-    possible = open_ones & tracks.visible[:, -1] & (tracks.ids != search.shown_id)
-    if not possible.any():
-        return replace(search, shown_id=-1, shown_seq=seq)
-    chosen = int(np.where(possible, value, -np.inf).argmax())
-    return replace(search, shown_id=int(tracks.ids[chosen]), shown_seq=seq)
+    possible = open_ones & tracks.visible[:, -1] & (value > 0)
+    possible &= ~np.isin(tracks.ids, (search.shown_id, *given_up))
+    chosen = int(np.where(possible, value, -np.inf).argmax()) if possible.any() else -1
+    shown_id = int(tracks.ids[chosen]) if chosen >= 0 else -1
+    return replace(search, shown_id=shown_id, shown_seq=seq, given_up=given_up)
 
 
 def window_sums(tracks: Tracks, worth: NDArray[np.floating]) -> NDArray[np.floating]:

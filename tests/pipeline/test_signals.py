@@ -51,6 +51,15 @@ class Dying:
     def __del__(self):
         os.kill(os.getpid(), signal.SIGNAL)
 
+class Field:
+    def __set_name__(self, *_):
+        os.kill(os.getpid(), signal.SIGNAL)
+
+class MakingAClass:
+    def __del__(self):
+        class Owner:
+            field = Field()
+
 try:
     with signals.raising():
         ITS_END
@@ -64,6 +73,7 @@ ENDS = {
         kept = weakref.ref(watched, lambda _: os.kill(os.getpid(), signal.SIGNAL))
         del watched""",
     "a finalizer": "Dying()",
+    "a class in a finalizer": "MakingAClass()",
 }
 
 

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from operators.policy import VerifyingPolicy, VerifyingPolicySettings
+from operators.policy.verifying import SearchState
 from pipeline import RoiFeatures, Scanpath, SettingsError, Tracks, codec
 from pipeline.node.operator_state import restore
 from pipeline.settings import build
+from pipeline.testing import header
 from tests.operators.policy.made_up import tracks
 
 PLACES = {1: (300, 300), 2: (1500, 800), 3: (1500, 200)}
@@ -30,11 +32,12 @@ class Run:
         self.policy.open()
         self.genuine = genuine
         self.seq = 0
+        self.judges = True
         self.path: Scanpath | None = None
 
     def frame(self, *ids: int) -> Scanpath:
         frame = world(self.seq, *ids)
-        shown = [k for k in ids if self.path is not None and self.looks_at(k)]
+        shown = [k for k in ids if self.judges and self.path and self.looks_at(k)]
         self.policy.on_features(
             RoiFeatures(
                 header=frame.header,
@@ -156,3 +159,49 @@ def test_its_state_crosses_a_swap() -> None:
 def test_wrong_settings_are_told_in_a_sentence(name: str, value: int) -> None:
     with pytest.raises(SettingsError, match=f"{name}: must be at least"):
         build(VerifyingPolicySettings, {name: value}, "policy")
+
+
+def test_a_target_that_the_roi_refutes_for_long_is_let_go() -> None:
+    run = Run({1: 0.9, 2: 0.02}, patience=50)
+    assert run.looked_at(20, 1)[-1] == 1
+    run.genuine[1] = 0.005
+
+    choices = [int(run.frame(1).choice[0]) for _ in range(20)]
+
+    assert choices[0] == 1
+    assert set(choices[-5:]) == {-1}
+
+
+def test_candidates_that_are_never_judged_are_passed_over() -> None:
+    run = Run({1: 0.5, 2: 0.5, 3: 0.5})
+    run.judges = False
+
+    seen = run.looked_at(60, 1, 2, 3)
+
+    assert list(dict.fromkeys(seen))[:3] == [3, 2, 1]
+    assert seen[-1] == 0
+
+
+def test_another_target_is_looked_for_from_the_beginning() -> None:
+    run = Run({1: 0.9})
+    run.looked_at(20, 1)
+
+    run.policy.on_settings(build(VerifyingPolicySettings, {"target": "player"}, "policy"))
+
+    assert run.policy.state().search == SearchState()
+
+
+def test_another_stream_is_looked_through_from_the_beginning() -> None:
+    run = Run({1: 0.9})
+    run.looked_at(20, 1)
+
+    run.policy.on_stream(header(0, stream="another"))
+
+    assert run.policy.state().search == SearchState()
+    assert run.policy.state().locked == -1
+
+
+def test_frames_without_objects_are_searched() -> None:
+    run = Run({})
+
+    assert (run.policy.on_tracks(tracks(0)).boxes[:, 2] > 0).all()
