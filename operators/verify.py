@@ -48,9 +48,9 @@ class VerifySettings:
 
 
 class Verify(Operator[VerifySettings, RoiFeatures]):
-    """One answer per ROI. Other classes are passed on.
+    """One answer per ROI. Candidates at its edge are left out, other classes are passed on.
 
-    Candidates at its edge are left out, and those that are not detected in this exposure.
+    One that the context misses in this exposure is judged where it is foreseen.
     """
 
     features = Input(RoiFeatures, keep="latest")
@@ -71,16 +71,14 @@ class Verify(Operator[VerifySettings, RoiFeatures]):
         settings, boxes = self.settings, tracks.boxes[:, -1]
         found = finds(closer, height_of_people(boxes, tracks.labels, tracks.names), settings)
         own = np.array([name == settings.target for name in tracks.names] or [False])
-        targets = np.flatnonzero(own[tracks.labels] & tracks.visible[:, -1])
+        targets = np.flatnonzero(own[tracks.labels])
         scores = best_scores(boxes[targets], closer, found, settings.reach_px)
         shown = well_inside(boxes, roi, settings.edge_px)
         ids = tracks.ids[targets].tolist()
         judged = dict(zip(ids, zip(targets, scores, strict=True), strict=True))
-        unseen = set(tracks.ids[own[tracks.labels]].tolist()) - set(ids)
         genuine, kept = features.genuine.copy(), np.ones(len(features.ids), np.bool_)
         for index, object_id in enumerate(features.ids.tolist()):
             if object_id not in judged:
-                kept[index] = object_id not in unseen  # of a place that is guessed nothing is shown
                 continue
             row, score = judged[object_id]
             kept[index] = shown[row]

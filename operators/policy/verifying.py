@@ -29,6 +29,7 @@ from pipeline import SettingsError, Tracks
 from pipeline.boxes import centres
 
 EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge nothing is judged
+REFUTED = 120  # frames in succession after which what the ROI refutes is let go
 LATE = 6  # frames more than `looks` for which a candidate is waited for
 GIVEN_UP = 16  # candidates that were never judged are passed over, so many at once
 
@@ -124,7 +125,8 @@ def locked_on(
 ) -> VerifyingState:
     """Keep, gain or change the track that is the target: the likeliest verified one.
 
-    One that the ROI refuted in `looks` frames in succession is let go.
+    One that the ROI refutes is kept until another is verified, or for `REFUTED` frames: a ball is
+    refuted for a while wherever it is blurred or half hidden.
     """
     odds = verified_odds(now.verdicts.of(tracks.ids))
     fit = of_class(tracks, now.spec.label) & (now.verdicts.views(tracks.ids) >= rules.looks)
@@ -133,11 +135,12 @@ def locked_on(
     refuted = search.refuted + 1 if own >= 0 and not fit[own] else 0
     rivals = np.where(fit & tracks.visible[:, -1], odds, -np.inf)
     best = int(rivals.argmax()) if len(rivals) else -1
-    to_beat = odds[own] + MARGIN if own >= 0 and fit[own] else -np.inf
+    held = own >= 0 and (fit[own] or not tracks.visible[own, -1])
+    to_beat = odds[own] + MARGIN if held else -np.inf
     locked, since_seq = now.locked, search.since_seq
     if best >= 0 and best != own and rivals[best] > to_beat:
         locked, since_seq, refuted = int(tracks.ids[best]), tracks.header.seq, 0
-    elif own < 0 or refuted >= rules.looks:
+    elif own < 0 or refuted >= REFUTED:
         locked, refuted = -1, 0
     followed = locked >= 0 and not refuted and tracks.header.seq - since_seq >= rules.patience
     search = replace(

@@ -92,8 +92,10 @@ def test_a_ball_that_is_too_large_beside_people_is_none() -> None:
     assert verified(world, detections(("ball", 0.9, 700, 400, 6)), {1: 0.5})[1] > 0.9
 
 
-def test_a_candidate_that_is_not_detected_in_this_exposure_is_not_judged() -> None:
-    assert verified(tracks(0, (1, 0, 700, 400, 0), unseen=(1,)), detections(), {1: 0.9}) == {}
+def test_a_candidate_that_the_context_misses_is_judged_where_it_is_foreseen() -> None:
+    world = tracks(0, (1, 0, 700, 400, 0), unseen=(1,))
+
+    assert verified(world, detections(("ball", 0.7, 702, 400, 12)), {1: 0.5})[1] > 0.8
 
 
 def test_one_find_verifies_the_nearest_candidate_only() -> None:

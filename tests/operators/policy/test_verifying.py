@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from operators.policy import VerifyingPolicy, VerifyingPolicySettings
-from operators.policy.verifying import SearchState
+from operators.policy.verifying import REFUTED, SearchState
 from pipeline import RoiFeatures, Scanpath, SettingsError, Tracks, codec
 from pipeline.node.operator_state import restore
 from pipeline.settings import build
@@ -166,10 +166,25 @@ def test_a_target_that_the_roi_refutes_for_long_is_let_go() -> None:
     assert run.looked_at(20, 1)[-1] == 1
     run.genuine[1] = 0.005
 
-    choices = [int(run.frame(1).choice[0]) for _ in range(20)]
+    choices = [int(run.frame(1).choice[0]) for _ in range(REFUTED + 5)]
 
-    assert choices[0] == 1
-    assert set(choices[-5:]) == {-1}
+    assert choices[40] == 1
+    assert set(choices[-3:]) == {-1}
+
+
+def test_a_target_that_is_hidden_is_kept_beside_one_that_is_hardly_verified() -> None:
+    run = Run({1: 0.9, 3: 0.45})
+    run.looked_at(20, 1)
+    plans = []
+    for k in range(8):
+        frame = world(run.seq + k, 1, 3)
+        frame.visible[0, -1] = False
+        features = {"features": np.zeros((2, 3), np.float32), "ids": np.array([1, 3], np.int32)}
+        genuine = np.array([0.3, 0.45], np.float32)
+        run.policy.on_features(RoiFeatures(header=frame.header, genuine=genuine, **features))
+        plans.append(int(run.policy.on_tracks(frame).choice[0]))
+
+    assert set(plans) == {1}
 
 
 def test_candidates_that_are_never_judged_are_passed_over() -> None:
