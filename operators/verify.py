@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
+from operators.policy.gaze_plan import of_class
 from operators.policy.target import check_known
 from pipeline import Detections, Frame, Input, Operator, RoiFeatures, SettingsError, Tracks
 from pipeline.boxes import centres
@@ -36,6 +37,8 @@ class VerifySettings:
     edge_px: float = 30.0  # candidates nearer to the edge of the ROI are not judged
 
     def __post_init__(self) -> None:
+        if not self.target:
+            raise SettingsError("target: expected the name of a class, got none")
         for name in ("reach_px", "edge_px"):
             if getattr(self, name) < 0:
                 raise SettingsError(f"{name}: must not be negative, got {getattr(self, name)}")
@@ -65,8 +68,7 @@ class Verify(Operator[VerifySettings, RoiFeatures]):
         settings, boxes = self.settings, tracks.boxes[:, -1]
         named = [k for k, name in enumerate(closer.names) if name == settings.target]
         found = np.flatnonzero(np.isin(closer.labels, named))
-        own = np.array([name == settings.target for name in tracks.names] or [False])
-        targets = np.flatnonzero(own[tracks.labels])
+        targets = np.flatnonzero(of_class(tracks, settings.target))
         scores = best_scores(boxes[targets], closer, found, settings.reach_px)
         shown = well_inside(boxes, roi, settings.edge_px)
         ids = tracks.ids[targets].tolist()

@@ -115,6 +115,7 @@ def test_nothing_in_the_roi_is_an_empty_answer() -> None:
     [
         ({"reach_px": -1}, "reach_px: must not be negative, got -1"),
         ({"edge_px": -2}, "edge_px: must not be negative, got -2"),
+        ({"target": ""}, "target: expected the name of a class, got none"),
     ],
 )
 def test_wrong_settings_are_told_in_a_sentence(values: dict[str, Any], sentence: str) -> None:
