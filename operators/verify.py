@@ -4,7 +4,7 @@ Encoder and detector are asked for the same pixels: what both take for the targe
 what one of them does. `genuine` of the target's class is their common probability at even odds.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
+from operators.policy.carrier import PEOPLE
 from operators.policy.gaze_plan import of_class
 from operators.policy.target import check_known
 from pipeline import Detections, Frame, Input, Operator, RoiFeatures, SettingsError, Tracks
-from pipeline.boxes import centres
+from pipeline.boxes import centres, sizes
 
 # Gains of the logits of the detector's score and of the encoder's probability: a logistic
 # regression over 1,561 candidates in stills of the development match, 29 of them balls. On the
@@ -35,13 +36,18 @@ class VerifySettings:
     target: str = "ball"  # the class that is looked at again
     reach_px: float = 16.0  # between the centres of a candidate and of what the ROI shows of it
     edge_px: float = 30.0  # candidates nearer to the edge of the ROI are not judged
+    # sides of the target as shares of the height of people: what is smaller or larger is none
+    smallest: float = 0.05
+    largest: float = 0.26
 
     def __post_init__(self) -> None:
         if not self.target:
             raise SettingsError("target: expected the name of a class, got none")
-        for name in ("reach_px", "edge_px"):
+        for name in ("reach_px", "edge_px", "smallest"):
             if getattr(self, name) < 0:
                 raise SettingsError(f"{name}: must not be negative, got {getattr(self, name)}")
+        if self.largest <= self.smallest:
+            raise SettingsError(f"largest: must be above smallest, got {self.largest}")
 
 
 class Verify(Operator[VerifySettings, RoiFeatures]):
@@ -66,8 +72,7 @@ class Verify(Operator[VerifySettings, RoiFeatures]):
     ) -> RoiFeatures:
         """Return the features with what both networks say of the target."""
         settings, boxes = self.settings, tracks.boxes[:, -1]
-        named = [k for k, name in enumerate(closer.names) if name == settings.target]
-        found = np.flatnonzero(np.isin(closer.labels, named))
+        found = finds(closer, height_of_people(boxes, tracks.labels, tracks.names), settings)
         targets = np.flatnonzero(of_class(tracks, settings.target))
         scores = best_scores(boxes[targets], closer, found, settings.reach_px)
         shown = well_inside(boxes, roi, settings.edge_px)
@@ -105,6 +110,22 @@ def best_scores(
         if apart <= reach_px:
             scores[nearest] = max(scores[nearest], closer.scores[row])
     return scores
+
+
+def height_of_people(boxes: Array, labels: NDArray[np.int32], names: Sequence[str]) -> float:
+    """Return the median height of people, pixels; 0 where there are none."""
+    people = np.isin(labels, [k for k, name in enumerate(names) if name in PEOPLE])
+    return float(np.median(boxes[people, 3] - boxes[people, 1])) if people.any() else 0.0
+
+
+def finds(closer: Detections, height_px: float, settings: VerifySettings) -> NDArray[np.intp]:
+    """Return the rows of targets of a plausible size: (k,). Without people any size is."""
+    named = [k for k, name in enumerate(closer.names) if name == settings.target]
+    fit = np.isin(closer.labels, named)
+    if height_px:
+        share = sizes(closer.boxes) / height_px
+        fit &= (share > settings.smallest) & (share < settings.largest)
+    return np.flatnonzero(fit)
 
 
 def well_inside(boxes: Array, roi: Frame, edge_px: float) -> NDArray[np.bool_]:

@@ -85,6 +85,13 @@ def test_an_object_that_is_no_track_any_more_is_passed_on() -> None:
     assert verified(BALL, detections(), {9: 0.4})[9] == pytest.approx(0.4)
 
 
+def test_a_ball_that_is_too_large_beside_people_is_none() -> None:
+    world = tracks(0, (1, 0, 700, 400, 0), (2, 1, 800, 400, 0))
+
+    assert verified(world, detections(("ball", 0.9, 700, 400, 20)), {1: 0.5})[1] < 0.001
+    assert verified(world, detections(("ball", 0.9, 700, 400, 6)), {1: 0.5})[1] > 0.9
+
+
 def test_a_candidate_that_the_context_misses_is_judged_where_it_is_foreseen() -> None:
     world = tracks(0, (1, 0, 700, 400, 0), unseen=(1,))
 
@@ -114,8 +121,8 @@ def test_nothing_in_the_roi_is_an_empty_answer() -> None:
     ("values", "sentence"),
     [
         ({"reach_px": -1}, "reach_px: must not be negative, got -1"),
-        ({"edge_px": -2}, "edge_px: must not be negative, got -2"),
         ({"target": ""}, "target: expected the name of a class, got none"),
+        ({"largest": 0.01}, "largest: must be above smallest, got 0.01"),
     ],
 )
 def test_wrong_settings_are_told_in_a_sentence(values: dict[str, Any], sentence: str) -> None:
