@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from operators.policy.carrier import PEOPLE
-from operators.policy.gaze_plan import of_class
-from operators.policy.target import check_known
 from pipeline import Detections, Frame, Input, Operator, RoiFeatures, SettingsError, Tracks
 from pipeline.boxes import centres, sizes
+from pipeline.contract import BEFORE
+from pipeline.errors import FoveaError
 
 # Gains of the logits of the detector's score and of the encoder's probability: a logistic
 # regression over 1,561 candidates in stills of the development match, 29 of them balls. On the
@@ -26,6 +25,8 @@ OF_SCORE, OF_ENCODER = 2.3, 0.8
 LEAST = 0.005  # shares are clipped to LEAST .. 1 - LEAST
 UNKNOWN = 1.0  # what an encoder says that verifies nothing
 EVEN = 0.5
+PEOPLE = ("player", "goalkeeper", "referee", "person")
+MOST_LISTED, LONGEST_NAME = 100, 100  # in a sentence: class names, and letters of one
 Array = NDArray[np.float32]
 
 
@@ -64,7 +65,14 @@ class Verify(Operator[VerifySettings, RoiFeatures]):
     @classmethod
     def advise(cls, settings: VerifySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
         """Nothing; raises `SettingsError` for a class that the detector does not know."""
-        check_known(settings.target, upstream)
+        for before in upstream.get(BEFORE, ()):
+            try:
+                names = getattr(before, "reported_classes", None)
+            except FoveaError:  # weights that are not there: its own node says so
+                continue
+            if names and settings.target not in names:
+                known, got = ", ".join(names[:MOST_LISTED]), settings.target[:LONGEST_NAME]
+                raise SettingsError(f"target: expected one of {known}, got {got}")
         return ()
 
     def on_features_closer_tracks_roi(
@@ -73,7 +81,8 @@ class Verify(Operator[VerifySettings, RoiFeatures]):
         """Return the features with what both networks say of the target."""
         settings, boxes = self.settings, tracks.boxes[:, -1]
         found = finds(closer, height_of_people(boxes, tracks.labels, tracks.names), settings)
-        targets = np.flatnonzero(of_class(tracks, settings.target))
+        own = [k for k, name in enumerate(tracks.names) if name == settings.target]
+        targets = np.flatnonzero(np.isin(tracks.labels, own))
         scores = best_scores(boxes[targets], closer, found, settings.reach_px)
         shown = well_inside(boxes, roi, settings.edge_px)
         ids = tracks.ids[targets].tolist()
