@@ -65,6 +65,10 @@ PLACES = {
         section="Tracking under a pixel budget", order=32,
         title="The learned policy beside the rule pursuit, one target",
     ),
+    "second_look": Place(
+        section="Tracking under a pixel budget", order=33,
+        title="A ball rated above another candidate, by context, by detector and encoder in the ROI",
+    ),
     "rules_from_starts": Place(
         section="Tracking under a pixel budget", order=32,
         title="Each rule of the policies left out once, prompted by the true box from many starts",

@@ -41,9 +41,7 @@ class VerifyingPolicySettings(PursuitPolicySettings):
     One of a class needs `looks` in place of `confirm`.
     """
 
-    least_probability: float = (
-        0.08  # of a verified candidate; .12 has one of which nothing is known
-    )
+    least_probability: float = 0.08  # of a verified candidate; one that was not shown has .12
     looks: int = 7  # frames in which the ROI shows a candidate before it is believed
     sought: int = 120  # frames in all for which faint candidates are looked at
 

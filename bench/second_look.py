@@ -1,0 +1,160 @@
+"""Fit what verifies a ball in the ROI: `python -m bench.second_look FOOTBALL [--json FILE]`.
+
+FOOTBALL is a folder of labelled stills. In each, the context's detector proposes balls down to a
+score of .1; full resolution around each is read by encoder and detector, as in
+`graphs/broadcast.yaml`. A logistic regression over the development match gives the gains of
+`operators.verify`; for the matches left out the table tells how often a ball is rated above another
+candidate, by each score alone and by both.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+from scipy.optimize import minimize
+from scipy.special import logit
+
+from bench.machine import facts
+from bench.options import JSON, Bench
+from bench.prototype import table
+from operators.roi_features.roi_features import Encoder, RoiEncoderSettings, verdicts
+from operators.saliency import SaliencySettings
+from operators.saliency.detector import Detector
+from operators.saliency.example import NAMES
+from operators.saliency.stills import stills
+from operators.training.splits import DEVELOPMENT, TEST
+from operators.verify import LEAST, VerifySettings
+from pipeline import Frame
+from pipeline.boxes import centres
+from pipeline.testing import header
+from pipeline.whole_file import write_whole
+
+SCALE, WINDOW_PX = 4, (480, 270)
+REACH_PX = VerifySettings().reach_px
+NAME = VerifySettings().target
+PENALTY = 0.05  # on the squares of the gains, over all candidates
+RATED = {"score in the context": (0,), "score in the ROI": (1,), "encoder": (2,), "both": (1, 2)}
+Array = NDArray[np.float64]
+
+
+class Looks:
+    """The networks of `graphs/broadcast.yaml`, on one thread."""
+
+    def __init__(self) -> None:
+        self._context, self._roi = (
+            Detector(
+                SaliencySettings(
+                    threads=1, weights="eight_bits", input_px=input_px, max_objects=400,
+                    class_confidence={"ball": least},
+                )
+            )
+            for input_px, least in (((736, 416), 0.1), ((384, 224), 0.02))
+        )  # fmt: skip
+        self._encoder = Encoder(RoiEncoderSettings(threads=1))
+
+    def rows(self, picture: NDArray[np.uint8], balls: NDArray[np.float32]) -> list[list[float]]:
+        """Return context's score, ROI's score, encoder's probability and truth of candidates."""
+        height, width = picture.shape[:2]
+        size = width // SCALE, height // SCALE
+        small = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+        boxes, scores = self._balls(self._context, small)
+        found = []
+        for box, score in zip(boxes * SCALE, scores, strict=True):
+            x, y = (float(side) for side in centres(box))
+            left = int(np.clip(x - WINDOW_PX[0] / 2, 0, width - WINDOW_PX[0]))
+            top = int(np.clip(y - WINDOW_PX[1] / 2, 0, height - WINDOW_PX[1]))
+            window = (left, top, left + WINDOW_PX[0], top + WINDOW_PX[1])
+            pixels = np.ascontiguousarray(picture[top : window[3], left : window[2]])
+            near, sure = self._balls(self._roi, pixels)
+            away = np.linalg.norm(centres(near) + np.array([left - x, top - y]), axis=1)
+            closer = sure[away <= REACH_PX].max(initial=0)
+            frame = Frame(header=header(), pixels=pixels, window=window, pixel_format="rgb8")
+            _, logits = self._encoder(frame, box[None])
+            genuine = float(verdicts(logits, self._encoder.names, [NAME])[0])
+            true = np.linalg.norm(centres(balls) - np.array([x, y]), axis=1).min()
+            found.append([float(score), float(closer), genuine, float(true <= REACH_PX)])
+        return found
+
+    def _balls(self, detector: Detector, picture: NDArray[np.uint8]) -> tuple[Any, Any]:
+        found, placement, _ = detector.look(picture)
+        own = found.classes == detector.names.index(NAME)
+        offset = np.array([placement.left_px, placement.top_px] * 2, np.float32)
+        return (found.boxes[own] - offset) / placement.gain, found.scores[own]
+
+
+def collected(folder: Path, matches: Sequence[str]) -> Array:
+    """Return the candidates in all stills of some matches that have a ball: (n, 4)."""
+    looks, found = Looks(), list[list[float]]()
+    some = stills(folder, only=matches)
+    for file in track(some.files, "look", console=Console(stderr=True)):
+        item = some.example(file)
+        balls = item.boxes[item.labels == NAMES.index(NAME)]
+        if len(balls):
+            found += looks.rows(item.picture, balls)
+    return np.array(found, np.float64).reshape(-1, 4)
+
+
+def odds(rows: Array, columns: Sequence[int], weights: Array) -> Array:
+    """Return the logarithm of the odds by bias and gains: (n,)."""
+    shares = np.clip(rows[:, list(columns)], LEAST, 1 - LEAST)
+    return np.asarray(weights[0] + logit(shares) @ weights[1:])
+
+
+def fitted(rows: Array, columns: Sequence[int]) -> Array:
+    """Return bias and gains of a logistic regression: (1 + columns,)."""
+    signs = np.where(rows[:, 3] > 0, -1, 1)
+
+    def loss(weights: Array) -> float:
+        cost = np.logaddexp(0, signs * odds(rows, columns, weights)).mean()
+        return float(cost + PENALTY / len(rows) * (weights[1:] ** 2).sum())
+
+    return np.asarray(minimize(loss, np.zeros(1 + len(columns))).x)
+
+
+def area(values: Array, true: NDArray[np.bool_]) -> float:
+    """Return the share of pairs in which the true one is rated higher, ties count half.
+
+    >>> area(np.array([0.9, 0.2, 0.2]), np.array([True, True, False]))
+    0.75
+    """
+    pairs = values[true][:, None] - values[~true][None]
+    return float((pairs > 0).mean() + (pairs == 0).mean() / 2)
+
+
+@click.command(cls=Bench)
+@click.argument("football", type=click.Path(path_type=Path, exists=True))
+@JSON
+def main(football: Path, path: Path | None) -> None:
+    """Fit what verifies a ball in the ROI."""
+    known, rest = collected(football, DEVELOPMENT), collected(football, TEST)
+    rows = []
+    for name, columns in RATED.items():
+        weights = fitted(known, columns)
+        rows.append(
+            {
+                "rated by": name, "bias": round(float(weights[0]), 2),
+                "gains": ", ".join(f"{gain:.2f}" for gain in weights[1:]),
+                "development": round(area(odds(known, columns, weights), known[:, 3] > 0), 3),
+                "left out": round(area(odds(rest, columns, weights), rest[:, 3] > 0), 3),
+            }
+        )  # fmt: skip
+    Console().print(table("a ball rated above another candidate", rows))
+    if path:
+        counts = {
+            f"{part} {what}": int(count)
+            for part, found in (("development", known), ("left out", rest))
+            for what, count in (("candidates", len(found)), ("balls", found[:, 3].sum()))
+        }
+        report = facts() | {"bench": "second_look", "data": football.name, **counts, "rows": rows}
+        write_whole(path, json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
