@@ -67,7 +67,7 @@ PLACES = {
     ),
     "second_look": Place(
         section="Tracking under a pixel budget", order=33,
-        title="A ball rated above another candidate, by context, by detector and encoder in the ROI",
+        title="A ball rated above another candidate, by context, and by detector and encoder",
     ),
     "rules_from_starts": Place(
         section="Tracking under a pixel budget", order=32,
