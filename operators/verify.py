@@ -18,7 +18,7 @@ from pipeline.contract import BEFORE
 from pipeline.errors import FoveaError
 
 # Gains of the logits of the detector's score and of the encoder's probability: a logistic
-# regression over 1,561 candidates in stills of the development match, 29 of them balls. On the
+# regression over 1,562 candidates in stills of the development match, 29 of them balls. On the
 # matches left out a ball is rated above another candidate in .968 of the pairs, by the score in the
 # context in .935, by that in the ROI in .954, by the encoder in .948 (python -m bench.second_look).
 OF_SCORE, OF_ENCODER = 2.3, 0.8
