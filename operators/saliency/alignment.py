@@ -19,7 +19,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import helper, numpy_helper
 
-from operators.saliency.data import TOP_PX, Rendered, rendered_in
+from operators.saliency.data import Rendered, rendered_in
 from operators.saliency.detector import FEATURE_STRIDE_PX, SHIPPED, Detector
 from operators.saliency.example import Example
 from operators.saliency.roi_align import roi_align
@@ -44,10 +44,10 @@ def collected(
         kept = item.boxes[~item.ignored]
         if not len(kept):
             continue
-        boxes = kept + np.array([0, TOP_PX, 0, TOP_PX], np.float32)
         for detector, rows in ((new, mine), (old, theirs)):
-            _, _, features = detector.look(item.picture)
+            _, at, features = detector.look(item.picture)
             assert features is not None
+            boxes = kept * np.float32(at.gain) + np.array([at.left_px, at.top_px] * 2, np.float32)
             rows.append(roi_align(features, boxes, stride_px=FEATURE_STRIDE_PX))
     return mine, theirs
 

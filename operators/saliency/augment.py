@@ -17,6 +17,8 @@ from operators.training.photometric import degrade, recolour
 BALL_LABEL = NAMES.index(BALL)
 LEAST_SHARE = 0.3  # share of an object that must remain in the picture
 BALL_TO_PERSON = (0.085, 0.17)  # diameter over height; a ball measures 0.22 m
+SMEARED_SHARE = 0.5  # of the balls pasted; others lie still
+SMEAR = 0.8  # mean, diameters: a kick moves a ball by one or two within half a frame
 FINE = 8  # sub-pixels a side of a pasted thing
 
 
@@ -174,7 +176,7 @@ def _draw_ball(
 ) -> tuple[float, float, float, float]:
     """A lit, patterned, possibly smeared disc; returns its box, smear included."""
     angle = rng.uniform(0, 2 * np.pi)
-    smear = diameter * rng.exponential(0.5) if rng.random() < 0.35 else 0.0
+    smear = diameter * rng.exponential(SMEAR) if rng.random() < SMEARED_SHARE else 0.0
     dx, dy = smear * np.cos(angle), smear * np.sin(angle)
     reach = int(np.ceil((diameter + smear) / 2)) + 2
     left, top = int(place[0]) - reach, int(place[1]) - reach

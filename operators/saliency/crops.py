@@ -5,12 +5,15 @@ tiles of a context that shows the whole pitch, and a ROI at full resolution. The
 height of people in pixels, so the scale is chosen by that.
 """
 
+from dataclasses import replace
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from operators.saliency.augment import clutter, cut, paste
-from operators.saliency.example import ANYONE, BALL, CONTEXT_PX, NAMES, Example
+from operators.saliency.example import ANYONE, BALL, CONTEXT_PX, NAMES, Example, resized
 from operators.saliency.pasting import Bank, paste_balls, paste_people
 from operators.training.photometric import degrade, recolour
 
@@ -18,12 +21,20 @@ BALL_LABEL = NAMES.index(BALL)
 PERSON_PX = (8.0, 60.0)  # height of people after shrinking, from a lean context to a ROI
 MOST_ENLARGED = 1.6
 USUAL_SHARE = 0.45  # of the crops that have the scale of the context, or of a tile
+CONTEXT_SHARE = 0.7  # of the pictures for a larger input: what a context shows, enlarged
 WEIGHTS = {BALL_LABEL: 4.0, NAMES.index("referee"): 2.5}  # of what a crop is placed around
 
 
-def augmented(still: Example, bank: Bank, rng: np.random.Generator) -> Example:
-    """Crop, mirror, add people and balls of other stills, recolour kits, litter, degrade."""
-    example = crop(still, rng)
+def augmented(
+    still: Example, bank: Bank, rng: np.random.Generator, size_px: tuple[int, int] = CONTEXT_PX
+) -> Example:
+    """Crop, mirror, add people and balls of other stills, recolour kits, litter, degrade.
+
+    For a picture larger than the context most are of its size and then enlarged, as the loop
+    does it; the others show as much of the still as a larger context does.
+    """
+    enlarged = size_px == CONTEXT_PX or rng.random() < CONTEXT_SHARE
+    example = crop(still, rng, CONTEXT_PX if enlarged else size_px)
     if rng.random() < 0.5:
         example = mirrored(example)
     if rng.random() < 0.3:
@@ -38,13 +49,15 @@ def augmented(still: Example, bank: Bank, rng: np.random.Generator) -> Example:
     picture = recolour(example.picture, rng)
     if rng.random() < 0.15:
         picture = coarser(picture, rng.uniform(0.55, 0.9))
-    return _with(example, degrade(picture, rng))
+    return resized(_with(example, degrade(picture, rng)), size_px)
 
 
-def scale_of(still: Example, rng: np.random.Generator) -> float:
+def scale_of(
+    still: Example, rng: np.random.Generator, size_px: tuple[int, int] = CONTEXT_PX
+) -> float:
     """Pixels of the crop over those of the still, never so few that the still is too small."""
     height, width = still.picture.shape[:2]
-    least = max(CONTEXT_PX[0] / width, CONTEXT_PX[1] / height)
+    least = max(size_px[0] / width, size_px[1] / height)
     people = still.boxes[still.labels != BALL_LABEL]
     tall = float(np.median(people[:, 3] - people[:, 1])) if len(people) else 54.0
     usual = least if tall * least >= PERSON_PX[0] else 1.0
@@ -55,12 +68,14 @@ def scale_of(still: Example, rng: np.random.Generator) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(max(low, high)))))
 
 
-def crop(still: Example, rng: np.random.Generator) -> Example:
+def crop(
+    still: Example, rng: np.random.Generator, size_px: tuple[int, int] = CONTEXT_PX
+) -> Example:
     """A random part of the still at a random scale, mostly around an object."""
     height, width = still.picture.shape[:2]
-    scale = scale_of(still, rng)
+    scale = scale_of(still, rng, size_px)
     wide, tall = (min(round(side / scale), most) for side, most in zip(
-        CONTEXT_PX, (width, height), strict=True))  # fmt: skip
+        size_px, (width, height), strict=True))  # fmt: skip
     left, top = rng.integers(0, width - wide + 1), rng.integers(0, height - tall + 1)
     if len(still.labels) and rng.random() < 0.75:
         weights = np.array([WEIGHTS.get(label, 1.0) for label in still.labels.tolist()])
@@ -69,15 +84,8 @@ def crop(still: Example, rng: np.random.Generator) -> Example:
         left = int(np.clip(x - wide / 2, 0, width - wide))
         top = int(np.clip(y - tall / 2, 0, height - tall))
     part = still.picture[top : top + tall, left : left + wide]
-    how = cv2.INTER_AREA if wide > CONTEXT_PX[0] else cv2.INTER_LINEAR
-    gain = np.array([CONTEXT_PX[0] / wide, CONTEXT_PX[1] / tall] * 2, np.float32)
-    moved = Example(
-        picture=np.asarray(cv2.resize(part, CONTEXT_PX, interpolation=how), np.uint8),
-        boxes=(still.boxes - np.array([left, top] * 2, np.float32)) * gain,
-        labels=still.labels,
-        ignored=still.ignored,
-    )
-    return cut(moved, *CONTEXT_PX)
+    boxes = still.boxes - np.array([left, top] * 2, np.float32)
+    return cut(resized(replace(still, picture=part, boxes=boxes), size_px), *size_px)
 
 
 def mirrored(example: Example) -> Example:
@@ -99,20 +107,55 @@ def recoloured_kits(example: Example, rng: np.random.Generator) -> Example:
 
 
 def recoloured_referees(example: Example, rng: np.random.Generator) -> Example:
-    """All referees in black, or their colours turned by one angle; all others keep theirs.
+    """All referees in black, in one bright colour, or their colours turned; others keep theirs.
 
     Few matches show few kits: what makes a referee is not to be dressed like either team.
     """
-    dark = rng.random() < 0.4
-    turn, light = (0, rng.uniform(0.15, 0.4)) if dark else (int(rng.integers(10, 170)), 1.0)
-    return _dressed(example, (NAMES.index("referee"),), turn, float(light))
+    draw, referees = rng.random(), (NAMES.index("referee"),)
+    if draw < 0.3:
+        return _dressed(example, referees, 0, float(rng.uniform(0.15, 0.4)))
+    if draw < 0.65:
+        return painted(example, referees, rng)
+    return _dressed(example, referees, int(rng.integers(10, 170)), 1.0)
+
+
+def painted(example: Example, labels: tuple[int, ...], rng: np.random.Generator) -> Example:
+    """People of some labels in shirts of one bright colour, whatever they wore; grass stays.
+
+    Turning a hue leaves black black, and most referees of few matches wear black.
+    """
+    hue, saturation = int(rng.integers(0, 180)), int(rng.integers(90, 256))
+    bright, shirt = rng.uniform(120, 235), rng.uniform(0.45, 1.0)  # the shirt, or shorts too
+    picture = example.picture.copy()
+    for left, top, right, bottom in _places(example, labels):
+        low = top + round((bottom - top) * shirt)
+        part = picture[max(top, 0) : max(low, 0), max(left, 0) : max(right, 0)]
+        if not part.size:
+            continue
+        hsv = cv2.cvtColor(part, cv2.COLOR_RGB2HSV)
+        own = ~_grass(hsv)
+        if not own.any():
+            continue
+        value = hsv[..., 2].astype(np.float32)
+        hsv[..., 0], hsv[..., 1] = hue, saturation
+        hsv[..., 2] = np.clip(bright + (value - value[own].mean()) * 0.7, 0, 255)
+        part[own] = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[own]
+    return _with(example, picture)
+
+
+def _places(example: Example, labels: tuple[int, ...]) -> list[list[int]]:
+    people = example.boxes[np.isin(example.labels, labels)]
+    return np.round(people).astype(int).tolist()  # type: ignore[no-any-return]
+
+
+def _grass(hsv: NDArray[Any]) -> NDArray[np.bool_]:
+    return np.asarray((hsv[..., 0] > 28) & (hsv[..., 0] < 85) & (hsv[..., 1] > 40))
 
 
 def _dressed(example: Example, labels: tuple[int, ...], turn: int, light: float) -> Example:
     """People of some labels with other colours: hue turned in steps of 2 degrees, value scaled."""
     picture = example.picture.copy()
-    people = example.boxes[np.isin(example.labels, labels)]
-    for left, top, right, bottom in np.round(people).astype(int).tolist():
+    for left, top, right, bottom in _places(example, labels):
         part = picture[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
         if not part.size:
             continue

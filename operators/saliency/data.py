@@ -3,6 +3,7 @@
 # mypy: disallow-subclassing-any=False
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from operators.saliency.augment import BALL_LABEL, augment
 from operators.saliency.crops import augmented
-from operators.saliency.example import CONTEXT_PX, INPUT_PX, Example
+from operators.saliency.example import CONTEXT_PX, INPUT_PX, Example, resized, sides_of
 from operators.saliency.pasting import Bank
 from operators.saliency.stills import Stills
 from operators.training.arrays import read
@@ -89,8 +90,10 @@ class Real(Dataset[Example]):
     the square root. The stills are kept in memory, 6 MB each for full HD.
     """
 
-    def __init__(self, folders: Iterable[Stills], *, seed: int) -> None:
-        self._seed, self._folders = seed, tuple(folders)
+    def __init__(
+        self, folders: Iterable[Stills], *, seed: int, size_px: tuple[int, int] = CONTEXT_PX
+    ) -> None:
+        self._seed, self._folders, self._size_px = seed, tuple(folders), size_px
         counts = np.array([len(folder.files) for folder in self._folders], np.float64)
         self._turns = np.sqrt(counts) / np.sqrt(counts).sum()
         self._kept: dict[Path, Example] = {}
@@ -103,7 +106,7 @@ class Real(Dataset[Example]):
         folder = self._folders[rng.choice(len(self._folders), p=self._turns)]
         bank = Bank(count=len(folder.files), still=lambda index: self._still(folder, index))
         still = bank.still(int(rng.integers(bank.count)))
-        example = augmented(still, bank, rng)
+        example = augmented(still, bank, rng, self._size_px)
         # nothing says where the ball is that must be somewhere: no place counts as empty
         return example if (still.labels == BALL_LABEL).any() else without_ball(example)
 
@@ -159,17 +162,23 @@ def _pictures(path: Path) -> NDArray[np.uint8]:
         raise DriverError(f"{path}: expected pictures, got {error}") from error
 
 
-def collate(examples: list[Example]) -> Batch:
-    """Place context pictures in the network's input and pad their object lists to equal length."""
+def collate(examples: list[Example], width_px: int = INPUT_PX[0]) -> Batch:
+    """Place pictures in an input of this width and pad their object lists to equal length.
+
+    The operator's letterbox does the same: a context smaller than the input is enlarged.
+    """
+    (_, high), (width, height) = sides = sides_of(width_px)
+    top = (height - high) // 2
+    examples = [resized(item, sides[0]) for item in examples]
     count, most = len(examples), max(1, *(len(e.labels) for e in examples))
-    pictures = np.full((count, INPUT_PX[1], INPUT_PX[0], 3), FILL, np.uint8)
+    pictures = np.full((count, height, width, 3), FILL, np.uint8)
     boxes = np.zeros((count, most, 4), np.float32)
     labels = np.full((count, most), -1, np.int64)
     ignored = np.zeros((count, most), np.bool_)
     for row, item in enumerate(examples):
         n = len(item.labels)
-        pictures[row, TOP_PX : TOP_PX + CONTEXT_PX[1]] = item.picture
-        boxes[row, :n] = item.boxes + np.array([0, TOP_PX, 0, TOP_PX], np.float32)
+        pictures[row, top : top + high] = item.picture
+        boxes[row, :n] = item.boxes + np.array([0, top, 0, top], np.float32)
         labels[row, :n], ignored[row, :n] = item.labels, item.ignored
     return Batch(
         pictures=torch.from_numpy(pictures).permute(0, 3, 1, 2),
@@ -180,15 +189,16 @@ def collate(examples: list[Example]) -> Batch:
 
 
 def stream(
-    source: Dataset[Example], size: int, steps: range, *, workers: int = 1
-) -> Iterator[Batch]:
+    source: Dataset[Example], size: int, steps: range, *, workers: int = 1,
+    width_px: int = INPUT_PX[0],
+) -> Iterator[Batch]:  # fmt: skip
     """The batches of some steps of a training, prepared by processes beside it."""
     loader = DataLoader(
         source,
         batch_size=size,
         sampler=range(steps.start * size, steps.stop * size),
         num_workers=workers,
-        collate_fn=collate,
+        collate_fn=partial(collate, width_px=width_px),
         prefetch_factor=6,
         multiprocessing_context="spawn",
     )

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from operators.saliency.data import Batch
-from operators.saliency.example import ANYONE, INPUT_PX, NAMES, PEOPLE
+from operators.saliency.example import ANYONE, NAMES, PEOPLE
 from operators.saliency.model import BALL_STRIDE, STRIDES, Raw, ball_boxes, cell_centres
 
 
@@ -131,7 +131,7 @@ def _counted(batch: Batch, balls: Tensor, cells: Tensor) -> Tensor:
 
 def losses(net_output: Raw, batch: Batch) -> dict[str, Tensor]:
     """All parts, weighted; their sum is what training lowers."""
-    width, height = INPUT_PX
+    height, width = (side * BALL_STRIDE for side in net_output.heat.shape[2:])
     device = net_output.heat.device
     centres = torch.cat([cell_centres(height // s, width // s, s, device) for s in STRIDES])
     counts = [(height // s) * (width // s) for s in STRIDES]

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.augment import BALL_LABEL, BALL_TO_PERSON, somewhere
+from operators.saliency.augment import BALL_LABEL, BALL_TO_PERSON, SMEAR, SMEARED_SHARE, somewhere
 from operators.saliency.example import NAMES, Example
 
 Array = NDArray[np.float32]
@@ -81,10 +81,28 @@ def paste_balls(example: Example, bank: Bank, rng: np.random.Generator) -> Examp
         )
         if piece is None:
             continue
+        if rng.random() < SMEARED_SHARE:
+            piece = smeared(piece, diameter * rng.exponential(SMEAR), rng.uniform(0, 2 * np.pi))
         x, y = somewhere(example, rng)
         high, wide = piece.alpha.shape
         example = _laid(example, piece, int(x - wide / 2), int(y - high / 2), BALL_LABEL, rng)
     return example
+
+
+def smeared(piece: Cutout, length_px: float, angle_rad: float) -> Cutout:
+    """The object as an exposure sees it that moves by `length_px` meanwhile."""
+    around = round(length_px / 2) + 1
+    side = 2 * around + 1
+    kernel = np.zeros((side, side), np.float32)
+    for part in np.linspace(-0.5, 0.5, 4 * side):
+        x, y = around + length_px * part * np.cos([angle_rad, angle_rad - np.pi / 2])
+        kernel[round(y), round(x)] += 1 / (4 * side)
+    alpha = np.pad(piece.alpha, around)
+    light = piece.picture.astype(np.float32) * piece.alpha[..., None]
+    light = np.pad(light, ((around, around), (around, around), (0, 0)))
+    covered = np.asarray(cv2.filter2D(alpha, -1, kernel), np.float32)
+    mixed = cv2.filter2D(light, -1, kernel) / np.maximum(covered, 1e-3)[..., None]
+    return Cutout(picture=np.clip(mixed, 0, 255).astype(np.uint8), alpha=covered)
 
 
 def _people(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -154,7 +172,7 @@ def _laid(
     alpha = piece.alpha[:, ::-1] if over is not piece.picture else piece.alpha
     mixed = under + alpha[..., None] * (over.astype(np.float32) * rng.uniform(0.85, 1.15) - under)
     picture[top : top + high, left : left + wide] = np.clip(mixed, 0, 255).astype(np.uint8)
-    solid = np.argwhere(alpha > 0.3)
+    solid = np.argwhere(alpha > 0.3 * alpha.max())
     if not len(solid):
         return example
     (y0, x0), (y1, x1) = solid.min(0), solid.max(0) + 1

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.description import described
-from operators.saliency.example import INPUT_PX
+from operators.saliency.description import described, of_metadata
 from operators.saliency.letterbox import Letterbox
 from operators.saliency.stills import stills
 from operators.training.command_line import count, in_a_sentence
@@ -36,9 +35,9 @@ BETWEEN = ("Add", "Concat", "MaxPool", "Relu", "Resize")  # between convolutions
 class Pictures:
     """The network's inputs, one after the other, as a calibration asks for them."""
 
-    def __init__(self, pictures: Iterator[NDArray[np.uint8]]) -> None:
+    def __init__(self, pictures: Iterator[NDArray[np.uint8]], input_px: tuple[int, int]) -> None:
         self._pictures = pictures
-        self._box = Letterbox(*INPUT_PX, scale=1 / 255, bgr=False, corner=False)
+        self._box = Letterbox(*input_px, scale=1 / 255, bgr=False, corner=False)
 
     def get_next(self) -> dict[str, NDArray[np.float32]] | None:
         """The next input; none at the end."""
@@ -64,13 +63,14 @@ def quantised_nodes(path: Path) -> list[str]:
 def quantise(path: Path, pictures: Iterator[NDArray[np.uint8]], out: Path) -> None:
     """Write the network at `path` with eight bits, its metadata kept."""
     facts = Network(path, threads=1).metadata
+    input_px = of_metadata(path, facts).exported_px
     with tempfile.TemporaryDirectory() as folder:
         ready = Path(folder) / "ready.onnx"
         prepared.quant_pre_process(path, ready, skip_symbolic_shape=True)
         quantization.quantize_static(
             ready,
             out,
-            Pictures(pictures),
+            Pictures(pictures, input_px),
             quant_format=quantization.QuantFormat.QDQ,
             per_channel=True,
             activation_type=quantization.QuantType.QUInt8,

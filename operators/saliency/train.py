@@ -50,10 +50,10 @@ def main(words: Sequence[str] | None = None) -> None:
     if target is not None:
         net = DetectorNet()
         checkpoint.take(checkpoint.path_in(settings.out), {"mean": net})
-        export(net, target / "detector.onnx", trained_on(settings))
+        export(net, target / "detector.onnx", trained_on(settings), settings.width_px)
         return
     run = train(settings)
-    export(run.mean, settings.out / "detector.onnx", trained_on(settings))
+    export(run.mean, settings.out / "detector.onnx", trained_on(settings), settings.width_px)
     print(json.dumps({"step": run.step, "elapsed_s": run.elapsed_s}))
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from operators.saliency.data import Batch, Mixed, Real, Rendered, collate, rendered_in, stream
-from operators.saliency.example import DOMAIN, INPUT_PX, NAMES, Example
+from operators.saliency.example import DOMAIN, INPUT_PX, NAMES, Example, sides_of
 from operators.saliency.initial import from_onnx
 from operators.saliency.losses import losses
 from operators.saliency.model import DetectorNet, Exported
@@ -65,7 +65,8 @@ class Run(checkpoint.Progress):
             return
         if init.suffix == ".onnx":
             numbers = range(CALIBRATION)
-            from_onnx(init, self.mean, collate([source[k] for k in numbers]).to(self.device))
+            batch = collate([source[k] for k in numbers], self.settings.width_px)
+            from_onnx(init, self.mean, batch.to(self.device))
         else:
             checkpoint.take(init, {"mean": self.mean})
         self.net.load_state_dict(self.mean.state_dict())
@@ -97,7 +98,7 @@ def source_of(settings: TrainSettings) -> Mixed:
     seed = settings.seed
     return Mixed(
         Rendered(files, seed=seed, raw_share=settings.raw_share) if files else None,
-        Real(real, seed=seed) if real else None,
+        Real(real, seed=seed, size_px=sides_of(settings.width_px)[0]) if real else None,
         settings.stills_share,
         seed,
     )
@@ -133,7 +134,7 @@ def train(settings: TrainSettings) -> Run:
     steps = range(run.step, run.step if over else settings.steps)
     # with a GPU, all CPU cores are available for the loader
     workers = 1 if run.device.type == "cpu" else settings.threads
-    batches = stream(source, settings.batch, steps, workers=workers)
+    batches = stream(source, settings.batch, steps, workers=workers, width_px=settings.width_px)
     with bar(PHASES["train"], settings.steps, run.step) as shown:
         told = ""
         for batch in batches:
@@ -179,10 +180,15 @@ def trained_on(settings: TrainSettings) -> str:
     return f"soccer matches: scenes that fovea draws itself, labelled stills ({names}){without}"
 
 
-def export(net: DetectorNet, path: Path, seen: str = "soccer matches") -> None:
-    """Write the detector as ONNX; its input may have any sides that are multiples of 32."""
+def export(
+    net: DetectorNet, path: Path, seen: str = "soccer matches", width_px: int = INPUT_PX[0]
+) -> None:
+    """Write the detector as ONNX; its input may have any sides that are multiples of 32.
+
+    What its own metadata says is an input of `width_px` with the context's shape.
+    """
     net = fused(net).to(memory_format=torch.contiguous_format)
-    width, height = INPUT_PX
+    width, height = sides_of(width_px)[1]
     write(
         Exported(net),
         {"images": torch.zeros(1, 3, height, width)},

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from operators.saliency.example import INPUT_PX, MULTIPLE_PX
 from operators.training.ranges import above_zero, at_least, known_device
 from operators.training.splits import HELD_OUT
 from pipeline.errors import SettingsError
@@ -17,6 +18,7 @@ class TrainSettings:
     stills: tuple[Path, ...] = ()  # folders of labelled stills
     leave_out: tuple[str, ...] = HELD_OUT  # beginnings of names of stills that are not trained on
     stills_share: float = 0.65  # of the pictures of a batch, where there are stills
+    width_px: int = INPUT_PX[0]  # of the input that pictures are enlarged to
     scenes: int = 320
     moments: int = 12
     span: int = 900  # frames of each scene over which its moments are spread
@@ -35,6 +37,10 @@ class TrainSettings:
 
     def __post_init__(self) -> None:
         at_least(1, self, "moments", "span", "steps", "batch", "threads")
+        if self.width_px % MULTIPLE_PX:
+            said = f"width_px: must be a multiple of {MULTIPLE_PX}, got {self.width_px}"
+            raise SettingsError(said)
+        at_least(INPUT_PX[0], self, "width_px")
         at_least(0, self, "scenes", "warmup", "decay", "seed")  # no scenes: other data alone
         above_zero(self, "rate", "minutes")
         for name in ("raw_share", "stills_share"):

@@ -8,9 +8,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from operators.saliency.crops import crop, mirrored, recoloured_kits, recoloured_referees
-from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES, Example
-from operators.saliency.pasting import BALL_COVER, PERSON_COVER, Bank, cutout, paste_people
+from operators.saliency.crops import (
+    crop,
+    mirrored,
+    painted,
+    recoloured_kits,
+    recoloured_referees,
+)
+from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES, Example, resized
+from operators.saliency.pasting import (
+    BALL_COVER,
+    PERSON_COVER,
+    Bank,
+    Cutout,
+    cutout,
+    paste_people,
+    smeared,
+)
 from operators.saliency.stills import stills
 from tests.operators.training.labelled_stills import match_of_stills
 
@@ -89,6 +103,59 @@ def test_new_kits_leave_grass_and_all_others_as_they_were(dressed: str) -> None:
         assert inside.all() if (row > 0) == (dressed == "players") else not inside.any()
     grass = (example.picture == (60, 130, 50)).all(2)
     assert not changed[grass].any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_black_shirts_are_painted_in_one_bright_colour(seed: int) -> None:
+    example = still()
+    rows = [box for box in example.boxes[:9].astype(int)]
+    for left, top, right, bottom in rows:
+        example.picture[top + 4 : bottom - 4, left + 4 : right - 4] = (25, 22, 24)
+    black = Example(
+        picture=example.picture, boxes=example.boxes, ignored=example.ignored,
+        labels=np.array([REFEREE] * 2 + [PLAYER] * 7 + [BALL]),
+    )  # fmt: skip
+
+    found = painted(black, (REFEREE,), np.random.default_rng(seed))
+
+    shirts = [
+        found.picture[top + 5 : top + 20, left + 5 : right - 5] for left, top, right, _ in rows
+    ]
+    colours = {tuple(pixel) for shirt in shirts[:2] for pixel in shirt.reshape(-1, 3).tolist()}
+    assert len(colours) == 1
+    assert max(colours.pop()) > 110
+    assert all((shirt == (25, 22, 24)).all() for shirt in shirts[2:])
+    assert (found.picture[0] == (60, 130, 50)).all()
+
+
+@given(SEEDS, st.sampled_from([(480, 270), (736, 414), (200, 113)]))
+@settings(max_examples=20, deadline=None)
+def test_boxes_go_with_a_picture_of_another_size(seed: int, size_px: tuple[int, int]) -> None:
+    example = crop(still(), np.random.default_rng(seed))
+
+    found = resized(example, size_px)
+
+    assert found.picture.shape == (size_px[1], size_px[0], 3)
+    shares = np.array([*size_px, *size_px]), np.array([*CONTEXT_PX, *CONTEXT_PX])
+    assert np.allclose(found.boxes / shares[0], example.boxes / shares[1], atol=1e-5)
+    assert np.array_equal(found.labels, example.labels)
+
+
+@given(st.floats(0, 30), st.floats(0, 2 * np.pi))
+@settings(max_examples=40, deadline=None)
+def test_a_moving_object_is_as_much_light_over_a_longer_way(length: float, angle: float) -> None:
+    disc = np.zeros((9, 9), np.float32)
+    disc[2:7, 2:7] = 1
+    ball = Cutout(picture=np.full((9, 9, 3), 240, np.uint8), alpha=disc)
+
+    found = smeared(ball, length, angle)
+
+    assert found.alpha.sum() == pytest.approx(disc.sum(), rel=1e-3)
+    assert (found.picture[found.alpha > 0.05] >= 239).all()
+    rows, columns = np.nonzero(found.alpha > 1e-3)
+    wide, tall = np.ptp(columns) + 1, np.ptp(rows) + 1
+    assert wide == pytest.approx(5 + abs(length * np.cos(angle)), abs=2)
+    assert tall == pytest.approx(5 + abs(length * np.sin(angle)), abs=2)
 
 
 @pytest.fixture

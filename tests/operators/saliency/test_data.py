@@ -9,7 +9,8 @@ import pytest
 pytest.importorskip("torch", reason="needs the train extra")
 
 from operators.saliency.data import Mixed, Real, Rendered, collate, rendered_in
-from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES
+from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES, sides_of
+from operators.saliency.letterbox import Letterbox
 from operators.saliency.stills import stills
 from operators.saliency.training_run import Run, folders, source_of
 from operators.saliency.training_settings import TrainSettings
@@ -119,3 +120,37 @@ def test_a_batch_holds_crops_as_the_network_sees_them(match: Path) -> None:
     assert batch.boxes.shape[0] == 2
     with pytest.raises(SettingsError, match=r"stills_share: must be within 0\.\.1, got 2"):
         TrainSettings(data=(match,), out=match, stills_share=2.0)
+
+
+@pytest.mark.parametrize("width_px", [480, 736])
+def test_a_batch_holds_what_the_operator_gives_a_network_of_that_input(
+    match: Path, width_px: int
+) -> None:
+    example = Real([stills(match)], seed=1)[0]
+    letterbox = Letterbox(*sides_of(width_px)[1], scale=1, bgr=False, corner=False)
+
+    batch = collate([example], width_px)
+
+    at = letterbox.put(example.picture)
+    assert np.array_equal(batch.pictures.numpy(), letterbox.tensor)
+    offset = np.array([at.left_px, at.top_px] * 2)
+    assert np.allclose(batch.boxes[0], example.boxes * at.gain + offset, atol=0.5)
+
+
+def test_pictures_for_a_larger_input_show_enlarged_contexts_and_larger_ones(match: Path) -> None:
+    size_px = sides_of(736)[0]
+    real = Real([stills(match)], seed=1, size_px=size_px)
+
+    found = [real[k] for k in range(12)]
+
+    assert {example.picture.shape for example in found} == {(414, 736, 3)}
+    assert all((example.boxes[:, 2:] <= np.array(size_px) + 1e-3).all() for example in found)
+
+
+@pytest.mark.parametrize(
+    ("width_px", "said"),
+    [(500, "must be a multiple of 32, got 500"), (448, "must be at least 480, got 448")],
+)
+def test_a_width_that_no_input_has_is_refused(match: Path, width_px: int, said: str) -> None:
+    with pytest.raises(SettingsError, match=f"^width_px: {said}"):
+        TrainSettings(data=(match,), out=match, width_px=width_px)

@@ -13,7 +13,9 @@ import torch
 
 from operators.saliency import training_run as training
 from operators.saliency.data import Batch, Rendered, rendered_in
+from operators.saliency.detector import Detector
 from operators.saliency.example import INPUT_PX, NAMES
+from operators.saliency.saliency import SaliencySettings
 from operators.saliency.train import TrainSettings, asked, main
 from operators.saliency.training_run import Run, advance, drawn, train
 from pipeline import SettingsError
@@ -139,12 +141,26 @@ def test_a_training_that_has_reached_its_time_limit_does_not_continue(tmp_path: 
     assert [train(settings).step for _ in range(2)] == [1, 1]
 
 
-def test_weights_of_any_training_are_exported(tmp_path: Path) -> None:
-    Run(settings_in(tmp_path)).save()
+@pytest.mark.parametrize(("width_px", "input_px"), [(480, (480, 288)), (736, (736, 416))])
+def test_weights_of_any_training_are_exported_with_its_input(
+    tmp_path: Path, width_px: int, input_px: tuple[int, int]
+) -> None:
+    Run(replace(settings_in(tmp_path), width_px=width_px)).save()
 
-    main(["--data", str(tmp_path), "--out", str(tmp_path), "--export", str(tmp_path)])
+    main(
+        ["--data", str(tmp_path), "--out", str(tmp_path), "--export", str(tmp_path),
+         "--width-px", str(width_px)]
+    )  # fmt: skip
 
-    assert (tmp_path / "detector.onnx").is_file()
+    found = Detector(SaliencySettings(weights=str(tmp_path / "detector.onnx")))
+    assert found.size_px == input_px
+
+
+def test_a_training_of_a_larger_input_takes_its_step(tmp_path: Path) -> None:
+    data = (footage(tmp_path / "data", 90),)
+    given = replace(settings_in(tmp_path), data=data, scenes=0, batch=2, steps=1, width_px=512)
+
+    assert train(given).step == 1
 
 
 def test_without_a_checkpoint_exporting_is_refused(
