@@ -6,7 +6,6 @@ height of people in pixels, so the scale is chosen by that.
 """
 
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from operators.saliency.augment import clutter, cut, paste
 from operators.saliency.example import ANYONE, BALL, CONTEXT_PX, NAMES, Example, resized
-from operators.saliency.pasting import Bank, paste_balls, paste_people
+from operators.saliency.pasting import Bank, is_grass, paste_at_boards, paste_balls, paste_people
 from operators.training.photometric import degrade, recolour
 
 BALL_LABEL = NAMES.index(BALL)
@@ -42,6 +41,7 @@ def augmented(
     if rng.random() < 0.35:
         example = recoloured_referees(example, rng)
     example = paste_people(example, bank, rng)
+    example = paste_at_boards(example, bank, rng)
     example = paste_balls(example, bank, rng)
     if rng.random() < 0.15:
         example = _with(example, clutter(example, rng))
@@ -133,7 +133,7 @@ def painted(example: Example, labels: tuple[int, ...], rng: np.random.Generator)
         if not part.size:
             continue
         hsv = cv2.cvtColor(part, cv2.COLOR_RGB2HSV)
-        own = ~_grass(hsv)
+        own = ~is_grass(hsv)
         if not own.any():
             continue
         value = hsv[..., 2].astype(np.float32)
@@ -146,10 +146,6 @@ def painted(example: Example, labels: tuple[int, ...], rng: np.random.Generator)
 def _places(example: Example, labels: tuple[int, ...]) -> list[list[int]]:
     people = example.boxes[np.isin(example.labels, labels)]
     return np.round(people).astype(int).tolist()  # type: ignore[no-any-return]
-
-
-def _grass(hsv: NDArray[Any]) -> NDArray[np.bool_]:
-    return np.asarray((hsv[..., 0] > 28) & (hsv[..., 0] < 85) & (hsv[..., 1] > 40))
 
 
 def _dressed(example: Example, labels: tuple[int, ...], turn: int, light: float) -> Example:

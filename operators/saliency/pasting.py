@@ -7,6 +7,7 @@ grass around it; what does not stand out clearly is not copied.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -61,6 +62,54 @@ def paste_people(example: Example, bank: Bank, rng: np.random.Generator) -> Exam
         y = feet + rng.normal() * 0.5 * tall - high
         example = _laid(example, piece, int(x - wide / 2), int(y), int(still.labels[row]), rng)
     return example
+
+
+def paste_at_boards(example: Example, bank: Bank, rng: np.random.Generator) -> Example:
+    """Add up to two people, mostly referees, where the grass ends behind the farthest person.
+
+    Assistants stand there, a few pixels high before boards; few stills show many of them.
+    """
+    people = np.flatnonzero((example.labels != BALL_LABEL) & ~example.ignored)
+    if not len(people):
+        return example
+    boxes = example.boxes[people]
+    far = boxes[boxes[:, 3].argmin()]
+    grass = is_grass(cv2.cvtColor(example.picture, cv2.COLOR_RGB2HSV))
+    for _ in range(int(rng.integers(1, 3)) if rng.random() < 0.5 else 0):
+        taken = _chosen(bank, rng, _referees if rng.random() < 0.7 else _people)
+        if taken is None:
+            continue
+        still, row = taken
+        tall = float(far[3] - far[1]) * rng.uniform(0.75, 1.1)
+        box = still.boxes[row]
+        piece = cutout(still, row, tall / max(float(box[3] - box[1]), 1.0), PERSON_COVER)
+        x = int(rng.integers(example.picture.shape[1]))
+        edge = end_of_grass(grass[:, x], tall)
+        if piece is None or edge > far[3]:
+            continue
+        high, wide = piece.alpha.shape
+        feet = edge + tall * rng.uniform(0.0, 0.4)
+        label = int(still.labels[row])
+        example = _laid(example, piece, int(x - wide / 2), int(feet - high), label, rng)
+    return example
+
+
+def is_grass(hsv: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which pixels (h, w, 3) of OpenCV's hue (2 degrees), saturation, value are grass: (h, w)."""
+    return np.asarray((hsv[..., 0] > 28) & (hsv[..., 0] < 85) & (hsv[..., 1] > 40))
+
+
+def end_of_grass(column: NDArray[np.bool_], tall_px: float) -> int:
+    """The row at which the grass ends that begins at the lower border of a picture.
+
+    Lines, feet and balls on it, lower than a third of a person, do not end it.
+    """
+    most = max(2, round(tall_px / 3))
+    rows = np.flatnonzero(column)
+    if not len(rows):
+        return len(column)
+    gaps = np.flatnonzero(np.diff(rows) > most)
+    return int(rows[gaps[-1] + 1] if len(gaps) else rows[0])
 
 
 def paste_balls(example: Example, bank: Bank, rng: np.random.Generator) -> Example:

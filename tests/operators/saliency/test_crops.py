@@ -1,5 +1,6 @@
 """Crops of stills have the context's size, boxes inside, and people of the heights of the loop."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from operators.saliency.augment import cut
 from operators.saliency.crops import (
     crop,
     mirrored,
@@ -22,6 +24,8 @@ from operators.saliency.pasting import (
     Bank,
     Cutout,
     cutout,
+    end_of_grass,
+    paste_at_boards,
     paste_people,
     smeared,
 )
@@ -181,6 +185,44 @@ def test_a_copied_person_has_a_tight_box_and_the_class_it_had(bank: Bank) -> Non
         assert red.mean() > 0.4
         assert (box >= 0).all()
         assert (box[2:] <= CONTEXT_PX).all()
+
+
+def test_people_at_the_boards_stand_where_the_grass_ends(bank: Bank) -> None:
+    target = crop(still(), np.random.default_rng(5))
+    boards = 60
+    target.picture[:boards] = (90, 60, 120)
+    far = target.boxes[target.labels == PLAYER]
+    tall = float(far[0, 3] - far[0, 1])
+
+    found = [paste_at_boards(target, bank, np.random.default_rng(seed)) for seed in range(40)]
+
+    more = np.concatenate([f.boxes[len(target.labels) :] for f in found])
+    assert len(more) > 5
+    assert {int(n) for f in found for n in f.labels[len(target.labels) :]} == {PLAYER, REFEREE}
+    assert (np.abs(more[:, 3] - boards - 0.2 * tall) < 0.3 * tall + 2).all()
+    assert (more[:, 3] - more[:, 1] < 1.15 * tall + 2).all()
+
+
+@given(st.integers(0, 99), st.integers(0, 9))
+def test_the_grass_ends_above_lines_and_feet_on_it(end: int, gap: int) -> None:
+    column = np.zeros(100, np.bool_)
+    column[end:] = True
+    inner = slice(end + 1, min(end + 1 + gap, 99))
+    column[inner] = False
+
+    assert end_of_grass(column, 30.0) == end
+    column[:] = False
+    assert end_of_grass(column, 30.0) == 100
+
+
+def test_a_picture_without_people_or_grass_gets_nobody_at_its_boards(bank: Bank) -> None:
+    target = crop(still(), np.random.default_rng(5))
+    nobody = cut(replace(target, boxes=target.boxes + 4000), *CONTEXT_PX)
+    grey = replace(target, picture=np.full_like(target.picture, 90))
+
+    for example in (nobody, grey):
+        found = [paste_at_boards(example, bank, np.random.default_rng(k)) for k in range(20)]
+        assert {len(f.labels) for f in found} == {len(example.labels)}
 
 
 def test_what_does_not_stand_out_is_not_copied(bank: Bank) -> None:
