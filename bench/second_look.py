@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 from scipy.special import logit
 
 from bench.machine import facts
-from bench.options import JSON, Bench
+from bench.options import JSON, ROOT, Bench
 from bench.prototype import table
 from operators.roi_features.roi_features import Encoder, RoiEncoderSettings, verdicts
 from operators.saliency import SaliencySettings
@@ -33,9 +33,14 @@ from operators.training.splits import DEVELOPMENT, TEST
 from operators.verify import LEAST, VerifySettings
 from pipeline import Frame
 from pipeline.boxes import centres
+from pipeline.graph.loader import load
+from pipeline.settings import build
 from pipeline.testing import header
 from pipeline.whole_file import write_whole
 
+GRAPH = ROOT / "graphs" / "broadcast.yaml"
+USUAL = {"threads": 1, "max_objects": 400}
+FAINTEST = 0.02  # score in the ROI of what is still counted
 SCALE, WINDOW_PX = 4, (480, 270)
 REACH_PX = VerifySettings().reach_px
 NAME = VerifySettings().target
@@ -45,18 +50,15 @@ Array = NDArray[np.float64]
 
 
 class Looks:
-    """The networks of `graphs/broadcast.yaml`, on one thread."""
+    """The networks of `graphs/broadcast.yaml` with its settings, on one thread."""
 
     def __init__(self) -> None:
+        nodes = {node.name: dict(node.settings) for node in load(GRAPH).nodes}
+        context = nodes["saliency"] | USUAL
+        roi = nodes["closer"] | USUAL | {"class_confidence": {NAME: FAINTEST}}
         self._context, self._roi = (
-            Detector(
-                SaliencySettings(
-                    threads=1, weights="eight_bits", input_px=input_px, max_objects=400,
-                    class_confidence={"ball": least},
-                )
-            )
-            for input_px, least in (((736, 416), 0.1), ((384, 224), 0.02))
-        )  # fmt: skip
+            Detector(build(SaliencySettings, values, "saliency")) for values in (context, roi)
+        )
         self._encoder = Encoder(RoiEncoderSettings(threads=1))
 
     def rows(self, picture: NDArray[np.uint8], balls: NDArray[np.float32]) -> list[list[float]]:
