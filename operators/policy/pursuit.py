@@ -201,12 +201,10 @@ def carrier_of(tracks: Tracks, now: PursuitState) -> int:
 def told(tracks: Tracks, row: int, now: PursuitState, rules: PursuitPolicySettings) -> bool:
     """Whether the consumer is told that a track is the target, and not only shown its place.
 
-    A faint candidate of a class is looked at to be verified; a consumer that is bound to it loses
-    its own. A target asked for by id or box was shown, not found.
+    A faint candidate is looked at to be verified; a consumer that is bound to it loses its own.
     """
-    if now.spec.one or not rules.least_probability:
-        return True
-    return bool(probability(rated(tracks, now)[row : row + 1])[0] >= SURE)
+    sure = probability(rated(tracks, now)[row : row + 1])[0] >= SURE
+    return bool(sure or not rules.least_probability)
 
 
 def locked_on(tracks: Tracks, now: State, rules: PursuitPolicySettings) -> State:

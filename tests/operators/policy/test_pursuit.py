@@ -201,17 +201,6 @@ def test_a_consumer_is_told_of_a_candidate_only_when_it_is_surely_the_target():
     assert (faint.choice[0], sure.choice[0]) == (-1, 1)
 
 
-@pytest.mark.parametrize("asked", [{"target_id": 1}, {"prompt_box": (280, 280, 320, 320)}])
-def test_a_consumer_is_told_of_what_was_asked_for_by_id_or_box_however_faint(asked: dict):
-    frames = [tracks(k, (1, 0, 300, 300, 0)) for k in range(8)]
-    for frame in frames:
-        frame.scores[:] = 0.1
-
-    paths = looked(*frames, genuine={1: 0.3}, **asked)
-
-    assert [path.choice[0] for path in paths] == [1] * 8
-
-
 def test_a_target_that_the_roi_refutes_is_given_up():
     frames = [tracks(k, (1, 0, 300, 300, 0)) for k in range(40)]
 
