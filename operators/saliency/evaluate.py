@@ -8,7 +8,6 @@ metadata; reported figures come from test scenes, or from a SoccerNet sequence (
 import argparse
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from drivers.datasets.sequence import span
 from drivers.datasets.soccernet import SoccerNetSequence
 from drivers.scenes.soccer import SoccerScene
-from operators.saliency.example import BALL, CONTEXT_PX, NAMES, Example
+from operators.saliency.example import BALL, CONTEXT_PX, NAMES, Example, resized
 from operators.saliency.judging import (
     FLOOR,
     Tally,
@@ -112,11 +111,7 @@ def development(folder: Path) -> Iterator[Example]:
     """The stills of a folder that are for development, as a context shows them."""
     found = stills(folder, only=DEVELOPMENT)
     for file in found.files:
-        item = found.example(file)
-        height, width = item.picture.shape[:2]
-        small = cv2.resize(item.picture, CONTEXT_PX, interpolation=cv2.INTER_AREA)
-        gain = np.array([CONTEXT_PX[0] / width, CONTEXT_PX[1] / height] * 2, np.float32)
-        yield replace(item, picture=np.asarray(small, np.uint8), boxes=item.boxes * gain)
+        yield resized(found.example(file), CONTEXT_PX)
 
 
 def sequence(folder: Path, stride: int, frames: tuple[int, int]) -> Iterator[Example]:

@@ -1,8 +1,9 @@
 """The regression over what encoder and detector say of candidates for a ball."""
 
+import cv2
 import numpy as np
 
-from bench.second_look import area, fitted, odds
+from bench.second_look import Looks, area, fitted, odds
 
 
 def made_up(seed: int) -> np.ndarray:
@@ -32,3 +33,16 @@ def test_the_bias_is_the_share_of_true_candidates_where_nothing_tells_them() -> 
 
     share = rows[:, 3].mean()
     assert abs(bias - np.log(share / (1 - share))) < 0.05
+
+
+def test_candidates_are_looked_at_as_the_broadcast_graph_does() -> None:
+    picture = np.full((1080, 1920, 3), (60, 130, 50), np.uint8)
+    cv2.circle(picture, (700, 600), 8, (250, 250, 250), -1, cv2.LINE_AA)
+    ball = np.array([[692, 592, 708, 608]], np.float32)
+
+    rows = Looks().rows(picture, ball)
+
+    context, closer, encoder, true = max(rows, key=lambda row: row[0])
+    assert true == 1
+    assert min(context, closer) > 0.1
+    assert 0 <= encoder <= 1
