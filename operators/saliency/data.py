@@ -21,7 +21,6 @@ from operators.training.arrays import read
 from operators.training.device import moved
 from pipeline.errors import DriverError
 
-TOP_PX = (INPUT_PX[1] - CONTEXT_PX[1]) // 2  # where the operator's letterbox puts the picture
 FILL = 114
 
 

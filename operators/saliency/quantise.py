@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.description import described, of_metadata
+from operators.saliency.description import described
+from operators.saliency.detector import Detector
 from operators.saliency.letterbox import Letterbox
+from operators.saliency.saliency import SaliencySettings
 from operators.saliency.stills import stills
 from operators.training.command_line import count, in_a_sentence
 from operators.training.progress import each_of
@@ -63,7 +65,7 @@ def quantised_nodes(path: Path) -> list[str]:
 def quantise(path: Path, pictures: Iterator[NDArray[np.uint8]], out: Path) -> None:
     """Write the network at `path` with eight bits, its metadata kept."""
     facts = Network(path, threads=1).metadata
-    input_px = of_metadata(path, facts).exported_px
+    input_px = Detector(SaliencySettings(weights=str(path), threads=1)).size_px
     with tempfile.TemporaryDirectory() as folder:
         ready = Path(folder) / "ready.onnx"
         prepared.quant_pre_process(path, ready, skip_symbolic_shape=True)
@@ -84,7 +86,7 @@ def quantise(path: Path, pictures: Iterator[NDArray[np.uint8]], out: Path) -> No
 
 
 def training_pictures(folder: Path, most: int) -> Iterator[NDArray[np.uint8]]:
-    """Well-spaced stills that a training sees; the letterbox shrinks them as a context is."""
+    """Well-spaced stills that a training sees; the letterbox shrinks them to the input."""
     found = stills(folder, without=HELD_OUT)
     files = found.files[:: max(1, len(found.files) // most)][:most]
     yield from (found.example(file).picture for file in files)

@@ -27,7 +27,11 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:
         help="beginnings of names of stills not to train on; the test's unless given",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, help="checkpoint and log")
-    parser.add_argument("--export", type=Path, help="write detector.onnx here, train nothing")
+    parser.add_argument(
+        "--export",
+        type=Path,
+        help="write detector.onnx here, with --width-px as trained, train nothing",
+    )
     parser.add_argument("--init", type=Path, help="checkpoint or .onnx to begin with")
     parser.add_argument("--compiled", action="store_true", help="compile first: needs g++")
     parser.add_argument("--device", default="auto", help=DEVICES)

@@ -8,6 +8,8 @@ from operators.training.ranges import above_zero, at_least, known_device
 from operators.training.splits import HELD_OUT
 from pipeline.errors import SettingsError
 
+MOST_PX = 2048  # a batch of larger pictures would not fit into memory
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainSettings:
@@ -40,7 +42,9 @@ class TrainSettings:
         if self.width_px % MULTIPLE_PX:
             said = f"width_px: must be a multiple of {MULTIPLE_PX}, got {self.width_px}"
             raise SettingsError(said)
-        at_least(INPUT_PX[0], self, "width_px")
+        if not INPUT_PX[0] <= self.width_px <= MOST_PX:
+            said = f"width_px: must be within {INPUT_PX[0]}..{MOST_PX}, got {self.width_px}"
+            raise SettingsError(said)
         at_least(0, self, "scenes", "warmup", "decay", "seed")  # no scenes: other data alone
         above_zero(self, "rate", "minutes")
         for name in ("raw_share", "stills_share"):
