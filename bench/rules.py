@@ -9,13 +9,11 @@ target: what loses nothing can go. The policies with all rules stand beside each
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import click
 import cv2
@@ -25,12 +23,11 @@ from rich.progress import track
 
 from bench.machine import facts
 from bench.options import JSON, ROOT, Bench, file_name, on_graph, told_changes
+from bench.policy_rules import RULES, Rule, without
 from bench.prototype import table
 from bench.tracking.classes import planned
 from bench.tracking.intervals import METHOD, Block, difference, mean
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE
-from operators.policy.candidates import odds
-from operators.policy.verdicts import EVEN
 from pipeline.boxes import covered, iou
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
@@ -44,98 +41,6 @@ POLICIES = {  # as `planned` takes them
     "of the graph": "",
 }  # fmt: skip
 FIGURES = ("share in the ROI", "IoU")
-Part = tuple[str, Any]  # module:name, and what stands there instead
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rule:
-    """A rule of a policy, and how to do without it."""
-
-    parts: tuple[Part, ...] = ()  # replaced in operators.policy
-    changes: tuple[str, ...] = ()  # settings of the graph
-
-
-def nobody(tracks: Any, *_: Any) -> Any:
-    """No track is anything: (n,)."""
-    return np.zeros(len(tracks.ids), np.bool_)
-
-
-def at_rest(_: Any) -> Any:
-    """A camera that does not move: (2,)."""
-    return np.zeros(2, np.float32)
-
-
-def returns(value: Any) -> Callable[..., Any]:
-    """A function that has one answer to everything."""
-    return lambda *_, **__: value
-
-
-def none_of(*arguments: Any) -> Any:
-    """None of the candidates, whose ids are the last argument but one or the last: (n,)."""
-    ids = next(a for a in reversed(arguments) if isinstance(a, np.ndarray))
-    return np.zeros(len(ids), np.bool_)
-
-
-def unseen(tracks: Any, shown: Any) -> Any:
-    """Return the odds of tracks of which the ROI showed nothing: (n,)."""
-    return odds(tracks, np.full_like(shown, EVEN))
-
-
-LEARNED = {
-    "a person carries the ball": Rule(
-        parts=(("target:carrier_of", returns(-1)),)
-    ),
-    "the prompted place is a candidate": Rule(
-        parts=(("decision:encode_place", returns(None)),)
-    ),
-    "candidates have the prompt's size": Rule(
-        parts=(("decision:unlike", none_of),)
-    ),
-    "the target's own track is likelier": Rule(
-        changes=("policy.target_prior=1",)
-    ),
-    "bound again by the choice": Rule(parts=(("target:_again", returns(-1)),)),
-    "places move with the camera": Rule(
-        parts=(("target:camera_motion", at_rest), ("conditioning:camera_motion", at_rest)),
-    ),
-    "people are searched": Rule(
-        parts=(("learned:out_of_sight", returns(False)),)
-    ),
-    "what the ROI showed is an input": Rule(
-        parts=(("learned:remember", lambda memory, *_: memory),)
-    ),
-}  # fmt: skip
-PURSUIT = {
-    "a candidate is seen three times": Rule(changes=("policy.confirm=1",)),
-    "a rival must be clearly better": Rule(parts=(("pursuit:MARGIN", 0.0),)),
-    "a rival takes the gaze": Rule(
-        parts=(("pursuit:challenged", lambda tracks, now, *_: now),)
-    ),
-    "what the ROI showed counts": Rule(parts=(("pursuit:odds", unseen),)),
-    "an unlikely candidate is none": Rule(
-        changes=("policy.least_probability=0",)
-    ),
-    "a person nearby carries it": Rule(parts=(("pursuit:can_carry", nobody),)),
-    "it may be further away with time": Rule(parts=(("pursuit:GROWTH", 0.0),)),
-    "people are searched": Rule(
-        parts=(("pursuit:busiest", returns(None)),)
-    ),
-    "the field is searched": Rule(changes=("policy.patience=1000000",)),
-}  # fmt: skip
-RULES: dict[str, dict[str, Rule]] = {"learned": LEARNED, "pursuit": PURSUIT}  # by policy
-
-
-@contextmanager
-def without(rule: Rule) -> Iterator[None]:
-    """Do without a rule; raises `RunError` where its place is no more."""
-    with ExitStack() as stack:
-        for place, other in rule.parts:
-            module_name, _, name = place.partition(":")
-            module = import_module(f"operators.policy.{module_name}")
-            if not hasattr(module, name):
-                raise RunError(f"{place}: expected a rule of operators.policy, got none")
-            stack.enter_context(patch.object(module, name, other))
-        yield
 
 
 @dataclass(kw_only=True, eq=False)

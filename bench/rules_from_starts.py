@@ -21,8 +21,9 @@ from rich.progress import track
 
 from bench.machine import facts
 from bench.options import JSON, Bench
+from bench.policy_rules import RULES, Rule, without
 from bench.prototype import table
-from bench.rules import ALL, FIGURES, POLICIES, RULES, Rule, without, worded
+from bench.rules import ALL, FIGURES, POLICIES, worded
 from bench.tracking import evaluate
 from bench.tracking.intervals import METHOD, Block, difference, mean
 from bench.tracking.job import follow

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bench.rules import ALL, FIGURES, RULES, Rule, Watch, asked, beside, main, rows, without
+from bench.policy_rules import RULES, Rule, without
+from bench.rules import ALL, FIGURES, Watch, asked, beside, main, rows
 from pipeline.errors import RunError
 from pipeline.messages import Frame, Percept, Truth
 from pipeline.testing import header
