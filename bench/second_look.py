@@ -33,6 +33,7 @@ from operators.training.splits import DEVELOPMENT, TEST
 from operators.verify import LEAST, VerifySettings
 from pipeline import Frame
 from pipeline.boxes import centres
+from pipeline.errors import DriverError
 from pipeline.graph.loader import load
 from pipeline.settings import build
 from pipeline.testing import header
@@ -100,7 +101,9 @@ def collected(folder: Path, matches: Sequence[str]) -> Array:
         balls = item.boxes[item.labels == NAMES.index(NAME)]
         if len(balls):
             found += looks.rows(item.picture, balls)
-    return np.array(found, np.float64).reshape(-1, 4)
+    if not found:
+        raise DriverError(f"{folder}: expected balls in stills of {', '.join(matches)}, got none")
+    return np.array(found, np.float64)
 
 
 def odds(rows: Array, columns: Sequence[int], weights: Array) -> Array:

@@ -166,9 +166,10 @@ def collate(examples: list[Example], width_px: int = INPUT_PX[0]) -> Batch:
 
     The operator's letterbox does the same: a context smaller than the input is enlarged.
     """
-    (_, high), (width, height) = sides = sides_of(width_px)
+    size_px, (width, height) = sides_of(width_px)
+    high = size_px[1]
     top = (height - high) // 2
-    examples = [resized(item, sides[0]) for item in examples]
+    examples = [resized(item, size_px) for item in examples]
     count, most = len(examples), max(1, *(len(e.labels) for e in examples))
     pictures = np.full((count, height, width, 3), FILL, np.uint8)
     boxes = np.zeros((count, most, 4), np.float32)

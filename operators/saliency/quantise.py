@@ -64,15 +64,14 @@ def quantised_nodes(path: Path) -> list[str]:
 
 def quantise(path: Path, pictures: Iterator[NDArray[np.uint8]], out: Path) -> None:
     """Write the network at `path` with eight bits, its metadata kept."""
-    facts = Network(path, threads=1).metadata
-    input_px = Detector(SaliencySettings(weights=str(path), threads=1)).size_px
+    detector = Detector(SaliencySettings(weights=str(path), threads=1))
     with tempfile.TemporaryDirectory() as folder:
         ready = Path(folder) / "ready.onnx"
         prepared.quant_pre_process(path, ready, skip_symbolic_shape=True)
         quantization.quantize_static(
             ready,
             out,
-            Pictures(pictures, input_px),
+            Pictures(pictures, detector.size_px),
             quant_format=quantization.QuantFormat.QDQ,
             per_channel=True,
             activation_type=quantization.QuantType.QUInt8,
@@ -81,7 +80,7 @@ def quantise(path: Path, pictures: Iterator[NDArray[np.uint8]], out: Path) -> No
             calibrate_method=quantization.CalibrationMethod.MinMax,
         )
     model = onnx.load(out)
-    onnx.helper.set_model_props(model, dict(facts))
+    onnx.helper.set_model_props(model, dict(detector.network.metadata))
     onnx.save(model, out)
 
 
