@@ -2,9 +2,9 @@
 
 FOOTBALL is a folder of labelled stills. In each, the context's detector proposes balls down to a
 score of .1; full resolution around each is read by encoder and detector, as in
-`graphs/broadcast.yaml`. A logistic regression over the development match gives the gains of
-`operators.verify`; for the matches left out the table tells how often a ball is rated above another
-candidate, by each score alone and by both.
+`graphs/broadcast.yaml`. Logistic regressions over the development match give the gains of
+`operators.verify` and of the policy (operators/policy/candidates.py); for the matches left out the
+table tells how often a ball is rated above another candidate, by each score alone and together.
 """
 
 import json
@@ -46,7 +46,10 @@ SCALE, WINDOW_PX = 4, (480, 270)
 REACH_PX = VerifySettings().reach_px
 NAME = VerifySettings().target
 PENALTY = 0.05  # on the squares of the gains, over all candidates
-RATED = {"score in the context": (0,), "score in the ROI": (1,), "encoder": (2,), "both": (1, 2)}
+RATED = {
+    "score in the context": (0,), "score in the ROI": (1,), "encoder": (2,),
+    "score in the ROI and encoder": (1, 2), "all three": (0, 1, 2),
+}  # fmt: skip
 Array = NDArray[np.float64]
 
 

@@ -13,9 +13,9 @@ from pipeline.boxes import centres
 # of them right, 788 players, 83 referees); see operators/roi_features/CARD.md.
 WEIGHTS = {"ball": (-1.1, 2.3, 0.6), "player": (2.8, 0.9, 0.8), "referee": (2.3, 1.9, 0.8)}
 USUAL = WEIGHTS["ball"]  # of other classes
-# The logarithm of the odds that a faint candidate is a ball before the ROI showed it: the bias of
-# the regression of operators.verify
-FAINT = -2.0
+# Of the odds that a faint candidate is a ball, in nats: bias and gain of the score in the context,
+# before the ROI showed it and afterwards; regressions of bench.second_look.
+UNSEEN, SEEN = (0.66, 3.87), (-0.43, 1.64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,13 +53,16 @@ def odds(tracks: Tracks, shown: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(found, np.float32)
 
 
-def verified_odds(shown: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the logarithm of the odds of faint candidates by what the ROI showed: (n,).
+def faint_odds(
+    scores: NDArray[np.float32], shown: NDArray[np.float32], seen: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Return the logarithm of the odds that each faint candidate is a ball: (n,).
 
-    `shown` (n,) is the probability at even odds of `operators.verify`; what it does not show has no
-    more than the odds of all.
+    From its score in the context and, where the ROI showed it (`seen`), the probability at even
+    odds that `operators.verify` has of it (`shown`).
     """
-    return np.asarray(FAINT + logit(shown), np.float32)
+    before, after = logit(scores) * UNSEEN[1] + UNSEEN[0], logit(scores) * SEEN[1] + SEEN[0]
+    return np.asarray(np.where(seen, after + logit(shown), before), np.float32)
 
 
 def probability(odds: NDArray[np.float32]) -> NDArray[np.float32]:

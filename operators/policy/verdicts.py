@@ -35,6 +35,10 @@ class Verdicts:
         found[row[settled]] = self.genuine[known[settled]]
         return found
 
+    def settled(self, ids: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Return which objects were viewed often enough for a verdict: (n,)."""
+        return np.asarray(self.views(ids) >= LOOKS)
+
     def views(self, ids: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return how often the ROI showed each object: (n,)."""
         found = np.zeros(len(ids), np.int32)

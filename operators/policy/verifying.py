@@ -2,9 +2,11 @@
 
 A ball of two pixels in the context is one of fifty candidates, behind boots, lines and scraps. Full
 resolution tells them apart, if it is asked: the ROI shows the likeliest candidates one window after
-another, each in `looks` frames, until one of them is verified (operators.verify). From then on the
-rules are those of pursuit. A target that was followed for a while and is lost is waited for and
-looked for among people, not among faint candidates again.
+another, each in `looks` frames, until one of them is verified (operators.verify). It is followed as
+in pursuit, but as long as a window of candidates that were not looked at is likelier to show the
+target, that window is looked at first: what the context takes for a ball ever more surely is not
+passed over for a boot that was verified by mistake. A target that was followed for a while and is
+lost is waited for and looked for among people, not among faint candidates again.
 """
 
 from dataclasses import dataclass, field, replace
@@ -13,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.candidates import probability, verified_odds
+from operators.policy.candidates import faint_odds, probability
 from operators.policy.gaze_plan import GazePlan, follow, future, of_class, row_of, stay
 from operators.policy.pursuit import (
     MARGIN,
@@ -41,7 +43,7 @@ class VerifyingPolicySettings(PursuitPolicySettings):
     One of a class needs `looks` in place of `confirm`.
     """
 
-    least_probability: float = 0.08  # of a verified candidate; one that was not shown has .12
+    least_probability: float = 0.08  # of a verified candidate
     looks: int = 7  # frames in which the ROI shows a candidate before it is believed
     sought: int = 120  # frames in all for which faint candidates are looked at
 
@@ -98,36 +100,63 @@ def seek(
     tracks: Tracks, before: VerifyingState, rules: VerifyingPolicySettings
 ) -> tuple[GazePlan, VerifyingState]:
     """Return the plan for the frames after these tracks, and the new state."""
-    now, horizon = locked_on(tracks, before, rules), rules.horizon
+    odds = believed(tracks, before)
+    now, horizon = locked_on(tracks, before, odds, rules), rules.horizon
     search, row = now.search, row_of(tracks, now.locked)
     if row >= 0:
         now = noted(tracks, row, now, now.spec)
-        carrier = carrier_of(tracks, now)
-        if carrier >= 0:
-            return stay(future(tracks, carrier, horizon), horizon), now
-        return follow(tracks, row, horizon), now
-    if not search.followed:  # it was none: nothing is known of the target
+        search = looked_at(tracks, now, odds, rules, to_beat=float(shares(odds)[row]))
+    elif not search.followed:  # it was none: nothing is known of the target
         now = replace(now, seen_seq=-1, carrier_id=-1)
         if search.spent < rules.sought:
-            search = looked_at(tracks, now, search, rules)
-            row = row_of(tracks, search.shown_id)
-            search = replace(search, spent=search.spent + (row >= 0))
+            search = looked_at(tracks, now, odds, rules)
+            spent = search.spent + (row_of(tracks, search.shown_id) >= 0)
+            search = replace(search, spent=spent)
+        else:
+            search = replace(search, shown_id=-1)
+    else:
+        search = replace(search, shown_id=-1)
     now = replace(now, search=search)
-    if row >= 0:
-        return stay(future(tracks, row, horizon), horizon), now
-    return unlocked(tracks, now, rules)
+    shown = row_of(tracks, search.shown_id)
+    if shown >= 0 and shown != row:
+        return stay(future(tracks, shown, horizon), horizon), now
+    if row < 0:
+        return unlocked(tracks, now, rules)
+    carrier = carrier_of(tracks, now)
+    if carrier >= 0:
+        return stay(future(tracks, carrier, horizon), horizon), now
+    return follow(tracks, row, horizon), now
+
+
+def believed(tracks: Tracks, now: VerifyingState) -> NDArray[np.float32]:
+    """Return the logarithm of the odds that each track is the target: (n,); -inf: another class."""
+    verdicts, ids = now.verdicts, tracks.ids
+    odds = faint_odds(tracks.scores, verdicts.of(ids), verdicts.settled(ids))
+    return np.where(of_class(tracks, now.spec.label), odds, np.float32(-np.inf))
+
+
+def shares(odds: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the probability of each candidate where at most one of them is the target: (n,).
+
+    >>> shares(np.array([0, 0, -np.inf], np.float32)).round(2).tolist()
+    [0.33, 0.33, 0.0]
+    """
+    likely = np.exp(odds)
+    return np.asarray(likely / (1 + likely.sum()), np.float32)
 
 
 def locked_on(
-    tracks: Tracks, now: VerifyingState, rules: VerifyingPolicySettings
+    tracks: Tracks,
+    now: VerifyingState,
+    odds: NDArray[np.float32],
+    rules: VerifyingPolicySettings,
 ) -> VerifyingState:
     """Keep, gain or change the track that is the target: the likeliest verified one.
 
     One that the ROI refutes is kept until another is verified, or for `REFUTED` frames: a ball is
     refuted for a while wherever it is blurred or half hidden.
     """
-    odds = verified_odds(now.verdicts.of(tracks.ids))
-    fit = of_class(tracks, now.spec.label) & (now.verdicts.views(tracks.ids) >= rules.looks)
+    fit = now.verdicts.views(tracks.ids) >= rules.looks
     fit &= probability(odds) >= rules.least_probability
     own, search = row_of(tracks, now.locked), now.search
     refuted = search.refuted + 1 if own >= 0 and not fit[own] else 0
@@ -148,14 +177,18 @@ def locked_on(
 
 
 def looked_at(
-    tracks: Tracks, now: PursuitState, search: SearchState, rules: VerifyingPolicySettings
+    tracks: Tracks,
+    now: VerifyingState,
+    odds: NDArray[np.float32],
+    rules: VerifyingPolicySettings,
+    to_beat: float = 0.0,
 ) -> SearchState:
-    """Return the search with the candidate to look at: the one before, or the next.
+    """Return the search with the candidate to look at: the one before, the next, or none.
 
-    The next is that around which a window shows most of what was not looked at often enough, by
-    score.
+    The next is that around which a window most probably shows the target, less the looks that were
+    taken; none where that is not above `to_beat`.
     """
-    seq, views = tracks.header.seq, now.verdicts.views(tracks.ids)
+    seq, views, search = tracks.header.seq, now.verdicts.views(tracks.ids), now.search
     row = row_of(tracks, search.shown_id)
     late = seq - search.shown_seq > rules.looks + LATE
     if row >= 0 and views[row] < rules.looks and not late:
@@ -163,10 +196,9 @@ def looked_at(
     given_up = search.given_up
     if row >= 0 and views[row] < rules.looks:
         given_up = (*given_up, search.shown_id)[-GIVEN_UP:]
-    open_ones = of_class(tracks, now.spec.label) & (views < rules.looks)
-    worth = np.where(open_ones, tracks.scores * (1 - views / rules.looks), 0)
-    value = window_sums(tracks, worth)
-    possible = open_ones & tracks.visible[:, -1] & (value > 0)
+    open_ones = np.isfinite(odds) & (views < rules.looks)
+    value = window_sums(tracks, np.where(open_ones, shares(odds) * (1 - views / rules.looks), 0))
+    possible = open_ones & tracks.visible[:, -1] & (value > to_beat)
     possible &= ~np.isin(tracks.ids, (search.shown_id, *given_up))
     chosen = int(np.where(possible, value, -np.inf).argmax()) if possible.any() else -1
     shown_id = int(tracks.ids[chosen]) if chosen >= 0 else -1

@@ -58,7 +58,7 @@ BALL = tracks(0, (1, 0, 700, 400, 0))
 
 @pytest.mark.parametrize(
     ("score", "encoder", "expected"),
-    [(0.5, 0.5, 0.5), (0.7, 0.5, 0.875), (0.5, 0.8, 0.752), (0.7, 0.8, 0.955), (0.2, 0.5, 0.04)],
+    [(0.5, 0.5, 0.5), (0.7, 0.5, 0.795), (0.5, 0.8, 0.682), (0.7, 0.8, 0.893), (0.2, 0.5, 0.098)],
 )
 def test_both_networks_count(score: float, encoder: float, expected: float) -> None:
     closer = detections(("ball", score, 702, 401, 12))
@@ -95,7 +95,7 @@ def test_a_ball_that_is_too_large_beside_people_is_none() -> None:
 def test_a_candidate_that_the_context_misses_is_judged_where_it_is_foreseen() -> None:
     world = tracks(0, (1, 0, 700, 400, 0), unseen=(1,))
 
-    assert verified(world, detections(("ball", 0.7, 702, 400, 12)), {1: 0.5})[1] > 0.8
+    assert verified(world, detections(("ball", 0.8, 702, 400, 12)), {1: 0.5})[1] > 0.8
 
 
 def test_one_find_verifies_the_nearest_candidate_only() -> None:

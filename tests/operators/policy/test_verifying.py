@@ -86,7 +86,7 @@ def test_the_consumer_is_told_of_a_verified_candidate_and_of_none_before() -> No
 def test_a_window_that_shows_several_candidates_is_looked_at_first() -> None:
     run = Run({1: 0.5, 2: 0.5, 3: 0.5})
     frame = tracks(0, (1, 0, 300, 300, 0), (2, 0, 1500, 800, 0), (3, 0, 1560, 820, 0))
-    frame.scores[:] = (0.35, 0.2, 0.25)
+    frame.scores[:] = (0.27, 0.25, 0.26)
 
     path = run.policy.on_tracks(frame)
 
@@ -109,6 +109,36 @@ def test_a_candidate_that_is_likelier_takes_over() -> None:
         path = run.policy.on_tracks(frame)
 
     assert path.choice[0] == 1
+
+
+def test_a_likelier_candidate_is_looked_at_before_an_unsure_target_is_followed_further() -> None:
+    run = Run({1: 0.6, 3: 0.9}, patience=50)
+    run.looked_at(20, 1)
+    assert run.path is not None
+    assert run.path.choice[0] == 1
+
+    seen = run.looked_at(20, 1, 3)  # the context now sees another one, more surely
+
+    assert seen[0] == 3
+    assert seen[-1] == 3
+    assert run.path.choice[0] == 3
+
+
+def test_a_sure_target_is_followed_without_looking_elsewhere() -> None:
+    run = Run({1: 0.02, 3: 0.99}, patience=50)
+    run.looked_at(20, 3)
+
+    assert set(run.looked_at(30, 1, 3)) == {3}
+
+
+def test_what_was_looked_at_instead_of_the_target_is_looked_at_once() -> None:
+    run = Run({1: 0.6, 3: 0.05}, patience=50)
+    run.looked_at(20, 1)
+
+    seen = run.looked_at(40, 1, 3)
+
+    assert 5 <= seen.count(3) <= 8
+    assert set(seen[10:]) == {1}
 
 
 def test_where_nothing_is_verified_people_are_looked_at_in_the_end() -> None:
@@ -179,8 +209,9 @@ def test_a_target_that_is_hidden_is_kept_beside_one_that_is_hardly_verified() ->
     for k in range(8):
         frame = world(run.seq + k, 1, 3)
         frame.visible[0, -1] = False
+        frame.scores[:2] = 0.2
         features = {"features": np.zeros((2, 3), np.float32), "ids": np.array([1, 3], np.int32)}
-        genuine = np.array([0.3, 0.45], np.float32)
+        genuine = np.array([0.4, 0.6], np.float32)
         run.policy.on_features(RoiFeatures(header=frame.header, genuine=genuine, **features))
         plans.append(int(run.policy.on_tracks(frame).choice[0]))
 
