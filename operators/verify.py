@@ -18,7 +18,7 @@ from pipeline.contract import BEFORE
 from pipeline.errors import FoveaError
 
 # Gains of the logits of the detector's score and of the encoder's probability, beside the score in
-# the context, which the policy counts: a logistic regression over 1,562 candidates in stills of the
+# the context, which the policy counts: a logistic regression over 1,560 candidates in stills of the
 # development match, 29 of them balls. On the matches left out a ball is rated above another
 # candidate in .971 of the pairs, without the context's score in .968, by the context alone in .935,
 # by the score in the ROI alone in .954, by the encoder in .948 (python -m bench.second_look).

@@ -45,7 +45,7 @@ class VerifyingPolicySettings(PursuitPolicySettings):
 
     least_probability: float = 0.08  # of a verified candidate
     looks: int = 7  # frames in which the ROI shows a candidate before it is believed
-    sought: int = 120  # frames in all for which faint candidates are looked at
+    sought: int = 120  # frames in all, without a target, for which faint candidates are looked at
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -102,22 +102,19 @@ def seek(
     """Return the plan for the frames after these tracks, and the new state."""
     odds = believed(tracks, before)
     now, horizon = locked_on(tracks, before, odds, rules), rules.horizon
-    search, row = now.search, row_of(tracks, now.locked)
+    search, row, shown = now.search, row_of(tracks, now.locked), -1
     if row >= 0:
         now = noted(tracks, row, now, now.spec)
-        search = looked_at(tracks, now, odds, rules, to_beat=float(shares(odds)[row]))
     elif not search.followed:  # it was none: nothing is known of the target
         now = replace(now, seen_seq=-1, carrier_id=-1)
-        if search.spent < rules.sought:
-            search = looked_at(tracks, now, odds, rules)
-            spent = search.spent + (row_of(tracks, search.shown_id) >= 0)
-            search = replace(search, spent=spent)
-        else:
-            search = replace(search, shown_id=-1)
+    if row >= 0 or (not search.followed and search.spent < rules.sought):
+        to_beat = float(shares(odds)[row]) if row >= 0 else 0.0
+        search = looked_at(tracks, now, odds, rules, to_beat)
+        shown = row_of(tracks, search.shown_id)
+        search = replace(search, spent=search.spent + (row < 0 <= shown))
     else:
         search = replace(search, shown_id=-1)
     now = replace(now, search=search)
-    shown = row_of(tracks, search.shown_id)
     if shown >= 0 and shown != row:
         return stay(future(tracks, shown, horizon), horizon), now
     if row < 0:
@@ -181,7 +178,7 @@ def looked_at(
     now: VerifyingState,
     odds: NDArray[np.float32],
     rules: VerifyingPolicySettings,
-    to_beat: float = 0.0,
+    to_beat: float,
 ) -> SearchState:
     """Return the search with the candidate to look at: the one before, the next, or none.
 
