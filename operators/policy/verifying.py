@@ -135,8 +135,8 @@ def believed(tracks: Tracks, now: VerifyingState) -> NDArray[np.float32]:
 def shares(odds: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the probability of each candidate where at most one of them is the target: (n,).
 
-    >>> shares(np.array([0, 0, -np.inf], np.float32)).round(2).tolist()
-    [0.33, 0.33, 0.0]
+    >>> shares(np.array([0, -np.inf], np.float32)).tolist()
+    [0.5, 0.0]
     """
     likely = np.exp(odds)
     return np.asarray(likely / (1 + likely.sum()), np.float32)
