@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from operators.policy import VerifyingPolicy, VerifyingPolicySettings
+from operators.policy.candidates import faint_odds
 from operators.policy.verifying import REFUTED, SearchState
 from pipeline import RoiFeatures, Scanpath, SettingsError, Tracks, codec
 from pipeline.node.operator_state import restore
@@ -134,11 +135,23 @@ def test_a_sure_target_is_followed_without_looking_elsewhere() -> None:
 def test_what_was_looked_at_instead_of_the_target_is_looked_at_once() -> None:
     run = Run({1: 0.6, 3: 0.05}, patience=50)
     run.looked_at(20, 1)
+    spent = run.policy.state().search.spent
 
     seen = run.looked_at(40, 1, 3)
 
     assert 5 <= seen.count(3) <= 8
     assert set(seen[10:]) == {1}
+    assert run.policy.state().search.spent == spent  # a search is what has no target yet
+
+
+def test_odds_are_the_contexts_until_the_roi_showed_a_candidate() -> None:
+    scores, shown = np.array([0.5, 0.5, 0.5], np.float32), np.array([0.5, 0.9, 0.1], np.float32)
+
+    unseen = faint_odds(scores, shown, np.zeros(3, np.bool_))
+    seen = faint_odds(scores, shown, np.ones(3, np.bool_))
+
+    assert unseen == pytest.approx([0.66] * 3)
+    assert seen == pytest.approx([-0.43, 1.767, -2.627], abs=1e-3)
 
 
 def test_where_nothing_is_verified_people_are_looked_at_in_the_end() -> None:
