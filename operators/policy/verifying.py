@@ -43,7 +43,7 @@ class VerifyingPolicySettings(PursuitPolicySettings):
     One of a class needs `looks` in place of `confirm`.
     """
 
-    least_probability: float = 0.08  # of a verified candidate
+    least_probability: float = 0.08  # of a verified candidate, by context and ROI
     looks: int = 7  # frames in which the ROI shows a candidate before it is believed
     sought: int = 120  # frames in all, without a target, for which faint candidates are looked at
 
@@ -154,7 +154,7 @@ def locked_on(
     refuted for a while wherever it is blurred or half hidden.
     """
     fit = now.verdicts.views(tracks.ids) >= rules.looks
-    fit &= probability(odds) >= rules.least_probability
+    fit &= np.isfinite(odds) & (probability(odds) >= rules.least_probability)
     own, search = row_of(tracks, now.locked), now.search
     refuted = search.refuted + 1 if own >= 0 and not fit[own] else 0
     rivals = np.where(fit & tracks.visible[:, -1], odds, -np.inf)
