@@ -16,6 +16,8 @@ USUAL = WEIGHTS["ball"]  # of other classes
 # Of the odds that a faint candidate is a ball, in nats: bias and gain of the score in the context,
 # before the ROI showed it and afterwards; regressions of bench.second_look.
 UNSEEN, SEEN = (0.66, 3.87), (-0.43, 1.64)
+# where shares are clipped; a verdict, which joins two clipped ones, less
+LEAST, LEAST_VERDICT = 0.005, 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +64,8 @@ def faint_odds(
     odds that `operators.verify` has of it (`shown`).
     """
     before, after = logit(scores) * UNSEEN[1] + UNSEEN[0], logit(scores) * SEEN[1] + SEEN[0]
-    return np.asarray(np.where(seen, after + logit(shown), before), np.float32)
+    verdict = logit(shown, LEAST_VERDICT)
+    return np.asarray(np.where(seen, after + verdict, before), np.float32)
 
 
 def probability(odds: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -70,9 +73,9 @@ def probability(odds: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
 
 
-def logit(share: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the logarithm of the odds; shares near 0 and 1 count as .005 and .995."""
-    kept = np.clip(share.astype(np.float64), 0.005, 0.995)
+def logit(share: NDArray[np.float32], least: float = LEAST) -> NDArray[np.float64]:
+    """Return the logarithm of the odds; shares are clipped to `least` .. 1 - `least`."""
+    kept = np.clip(share.astype(np.float64), least, 1 - least)
     return np.asarray(np.log(kept / (1 - kept)))
 
 

@@ -3,10 +3,11 @@
 A ball of two pixels in the context is one of fifty candidates, behind boots, lines and scraps. Full
 resolution tells them apart, if it is asked: the ROI shows the likeliest candidates one window after
 another, each in `looks` frames, until one of them is verified (operators.verify). It is followed as
-in pursuit, but as long as a window of candidates that were not looked at is likelier to show the
-target, that window is looked at first: what the context takes for a ball ever more surely is not
-passed over for a boot that was verified by mistake. A target that was followed for a while and is
-lost is waited for and looked for among people, not among faint candidates again.
+in pursuit. Unless it is surely the target, a window of candidates that were not looked at often
+enough is looked at first where that is likelier to show the target: what the context takes for a
+ball ever more surely is not passed over for a boot that was verified by mistake. A target that was
+followed for a while and is lost is waited for and looked for among people, not among faint
+candidates again.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,6 +20,7 @@ from operators.policy.candidates import faint_odds, probability
 from operators.policy.gaze_plan import GazePlan, follow, future, of_class, row_of, stay
 from operators.policy.pursuit import (
     MARGIN,
+    SURE,
     Pursuit,
     PursuitPolicySettings,
     PursuitState,
@@ -45,7 +47,9 @@ class VerifyingPolicySettings(PursuitPolicySettings):
 
     least_probability: float = 0.08  # of a verified candidate, by context and ROI
     looks: int = 7  # frames in which the ROI shows a candidate before it is believed
-    sought: int = 120  # frames in all, without a target, for which faint candidates are looked at
+    # frames in all for which faint candidates are looked at while there is no target; looks beside
+    # an unsure one do not count
+    sought: int = 120
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -59,10 +63,11 @@ class VerifyingPolicySettings(PursuitPolicySettings):
 class SearchState:
     """How far the search for a faint target has come."""
 
-    spent: int = 0  # frames in which candidates were looked at
-    since_seq: int = -1  # when the present target was locked
+    spent: int = 0  # frames without a target in which candidates were looked at
+    kept: int = 0  # frames in which the gaze followed the present target
     followed: bool = False  # whether one was followed for `patience` frames
-    refuted: int = 0  # frames in succession in which the ROI refuted the present target
+    refuted: int = 0  # frames in succession in which the present target was an unlikely one
+    odds: float = 0.0  # of the present target when it was last visible, their logarithm
     shown_id: int = -1  # the candidate that is being looked at
     shown_seq: int = -1  # since when
     given_up: tuple[int, ...] = ()  # the last ones that the ROI could not judge
@@ -89,8 +94,8 @@ class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
     def plan(self, tracks: Tracks) -> GazePlan:
         """Return where to look in the frames after this one, and keep the new state."""
         if self._state.spec.one:
-            believed = replace(self.settings, least_probability=0)  # it was shown, not found
-            plan, self._state = pursue(tracks, self._state, believed)
+            rules = replace(self.settings, least_probability=0)  # it was shown, not found
+            plan, self._state = pursue(tracks, self._state, rules)
         else:
             plan, self._state = seek(tracks, self._state, self.settings)
         return plan
@@ -100,35 +105,45 @@ def seek(
     tracks: Tracks, before: VerifyingState, rules: VerifyingPolicySettings
 ) -> tuple[GazePlan, VerifyingState]:
     """Return the plan for the frames after these tracks, and the new state."""
-    odds = believed(tracks, before)
-    now, horizon = locked_on(tracks, before, odds, rules), rules.horizon
-    search, row, shown = now.search, row_of(tracks, now.locked), -1
+    odds = target_odds(tracks, before)
+    chances, now = shares(odds), locked_on(tracks, before, odds, rules)
+    search, row, shown, horizon = now.search, row_of(tracks, now.locked), -1, rules.horizon
     if row >= 0:
         now = noted(tracks, row, now, now.spec)
+        sure = probability(odds)[row] >= SURE
+        search = looked_at(tracks, now, chances, rules, 1.0 if sure else float(chances[row]))
+        shown = row_of(tracks, search.shown_id)
     elif not search.followed:  # it was none: nothing is known of the target
         now = replace(now, seen_seq=-1, carrier_id=-1)
-    if row >= 0 or (not search.followed and search.spent < rules.sought):
-        to_beat = float(shares(odds)[row]) if row >= 0 else 0.0
-        search = looked_at(tracks, now, odds, rules, to_beat)
-        shown = row_of(tracks, search.shown_id)
-        search = replace(search, spent=search.spent + (row < 0 <= shown))
-    else:
-        search = replace(search, shown_id=-1)
-    now = replace(now, search=search)
+        if search.spent < rules.sought:
+            search = looked_at(tracks, now, chances, rules, 0.0)
+            shown = row_of(tracks, search.shown_id)
+            search = replace(search, spent=search.spent + int(shown >= 0))
     if shown >= 0 and shown != row:
-        return stay(future(tracks, shown, horizon), horizon), now
+        return stay(future(tracks, shown, horizon), horizon), replace(now, search=search)
+    search = replace(search, shown_id=-1)
     if row < 0:
-        return unlocked(tracks, now, rules)
+        return unlocked(tracks, replace(now, search=search), rules)
+    kept = search.kept + 1
+    followed = search.followed or (not search.refuted and kept >= rules.patience)
+    now = replace(now, search=replace(search, kept=kept, followed=followed))
     carrier = carrier_of(tracks, now)
     if carrier >= 0:
         return stay(future(tracks, carrier, horizon), horizon), now
     return follow(tracks, row, horizon), now
 
 
-def believed(tracks: Tracks, now: VerifyingState) -> NDArray[np.float32]:
-    """Return the logarithm of the odds that each track is the target: (n,); -inf: another class."""
+def target_odds(tracks: Tracks, now: VerifyingState) -> NDArray[np.float32]:
+    """Return the logarithm of the odds that each track is the target: (n,); -inf: another class.
+
+    A hidden target has those of the frame in which it was last visible: a track's score falls while
+    the context misses it, which tells nothing of what it is.
+    """
     verdicts, ids = now.verdicts, tracks.ids
     odds = faint_odds(tracks.scores, verdicts.of(ids), verdicts.settled(ids))
+    own = row_of(tracks, now.locked)
+    if own >= 0 and not tracks.visible[own, -1]:
+        odds[own] = now.search.odds
     return np.where(of_class(tracks, now.spec.label), odds, np.float32(-np.inf))
 
 
@@ -150,51 +165,48 @@ def locked_on(
 ) -> VerifyingState:
     """Keep, gain or change the track that is the target: the likeliest verified one.
 
-    One that the ROI refutes is kept until another is verified, or for `REFUTED` frames: a ball is
-    refuted for a while wherever it is blurred or half hidden.
+    One that has become unlikely is kept until another is verified, or for `REFUTED` frames: a ball
+    is refuted for a while wherever it is blurred or half hidden.
     """
     fit = now.verdicts.views(tracks.ids) >= rules.looks
     fit &= np.isfinite(odds) & (probability(odds) >= rules.least_probability)
     own, search = row_of(tracks, now.locked), now.search
-    refuted = search.refuted + 1 if own >= 0 and not fit[own] else 0
     rivals = np.where(fit & tracks.visible[:, -1], odds, -np.inf)
     best = int(rivals.argmax()) if len(rivals) else -1
     held = own >= 0 and (fit[own] or not tracks.visible[own, -1])
     to_beat = odds[own] + MARGIN if held else -np.inf
-    locked, since_seq = now.locked, search.since_seq
     if best >= 0 and best != own and rivals[best] > to_beat:
-        locked, since_seq, refuted = int(tracks.ids[best]), tracks.header.seq, 0
-    elif own < 0 or refuted >= REFUTED:
-        locked, refuted = -1, 0
-    followed = locked >= 0 and not refuted and tracks.header.seq - since_seq >= rules.patience
-    search = replace(
-        search, since_seq=since_seq, refuted=refuted, followed=search.followed or followed
-    )
-    return replace(now, locked=locked, search=search)
+        search = replace(search, kept=0, refuted=0, odds=float(odds[best]))
+        return replace(now, locked=int(tracks.ids[best]), search=search)
+    refuted = 0 if own < 0 or fit[own] else search.refuted + 1
+    if own < 0 or refuted >= REFUTED:
+        return replace(now, locked=-1, search=replace(search, refuted=0))
+    return replace(now, search=replace(search, refuted=refuted, odds=float(odds[own])))
 
 
 def looked_at(
     tracks: Tracks,
     now: VerifyingState,
-    odds: NDArray[np.float32],
+    chances: NDArray[np.float32],
     rules: VerifyingPolicySettings,
     to_beat: float,
 ) -> SearchState:
     """Return the search with the candidate to look at: the one before, the next, or none.
 
     The next is that around which a window most probably shows the target, less the looks that were
-    taken; none where that is not above `to_beat`.
+    taken; none where that is not above `to_beat`, a probability as `chances` (n,) are. A look that
+    was begun is finished unless all that its window may show is no longer above that.
     """
     seq, views, search = tracks.header.seq, now.verdicts.views(tracks.ids), now.search
-    row = row_of(tracks, search.shown_id)
-    late = seq - search.shown_seq > rules.looks + LATE
-    if row >= 0 and views[row] < rules.looks and not late:
-        return search
-    given_up = search.given_up
+    open_ones = (chances > 0) & (views < rules.looks)
+    row, given_up = row_of(tracks, search.shown_id), search.given_up
     if row >= 0 and views[row] < rules.looks:
-        given_up = (*given_up, search.shown_id)[-GIVEN_UP:]
-    open_ones = np.isfinite(odds) & (views < rules.looks)
-    value = window_sums(tracks, np.where(open_ones, shares(odds) * (1 - views / rules.looks), 0))
+        late = seq - search.shown_seq > rules.looks + LATE
+        if not late and window_sums(tracks, chances * open_ones)[row] > to_beat:
+            return search
+        if late:
+            given_up = (*given_up, search.shown_id)[-GIVEN_UP:]
+    value = window_sums(tracks, chances * open_ones * (1 - views / rules.looks))
     possible = open_ones & tracks.visible[:, -1] & (value > to_beat)
     possible &= ~np.isin(tracks.ids, (search.shown_id, *given_up))
     chosen = int(np.where(possible, value, -np.inf).argmax()) if possible.any() else -1
