@@ -21,24 +21,16 @@ from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 from pipeline.fleet import secure
 from pipeline.fleet.agent import Agent
 from pipeline.fleet.agent_file import AgentFile, HostConfig, read
-from pipeline.fleet.deploy import (
-    Fleet,
-    attach,
-    default_user,
-    known_addresses,
-    read_hosts,
-    remembered,
-    up,
-)
-from pipeline.fleet.deploy import (
-    forget as forget_deployed,
-)
+from pipeline.fleet.deploy import Fleet, attach, default_user, up
 from pipeline.fleet.export.bundle import Bundle
 from pipeline.fleet.export.export import KINDS, engines
 from pipeline.fleet.export.systemd import agent_unit
+from pipeline.fleet.hosts import known_addresses, read_hosts
 from pipeline.fleet.names import check_identity, check_user, user_identity
 from pipeline.fleet.placement import identities
 from pipeline.fleet.provisioning import check_addressed, issue_for, placed
+from pipeline.fleet.remembered import forget as forget_deployed
+from pipeline.fleet.remembered import remembered
 from pipeline.fleet.router import Router
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay

@@ -22,17 +22,10 @@ from pipeline.client.graph_client import (
 from pipeline.client.local import judged, of_kind
 from pipeline.client.relayed import RelayedTap
 from pipeline.errors import FoveaError, RunError, Silent
-from pipeline.fleet.deploy import (
-    Fleet,
-    Hosts,
-    carried,
-    down,
-    portable,
-    remember,
-    remembered,
-    send_weights,
-)
+from pipeline.fleet.deploy import Fleet, carried, down, portable, send_weights
 from pipeline.fleet.hosted_graph import ends_of
+from pipeline.fleet.hosts import Hosts
+from pipeline.fleet.remembered import remember, remembered
 from pipeline.graph.editing import loaded_ports
 from pipeline.graph.plan import Plan
 from pipeline.protocol import fleet as wire

@@ -7,7 +7,8 @@ from pipeline.client.deployed import DeployedGraph
 from pipeline.client.graph_client import GraphClient, Said, Status
 from pipeline.client.local import LocalGraph
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet.deploy import AT_ONCE, remembered
+from pipeline.fleet.deploy import AT_ONCE
+from pipeline.fleet.remembered import remembered
 from pipeline.run.logs import log_lines
 from pipeline.run.rundir import running
 from pipeline.settings import suggest

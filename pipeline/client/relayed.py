@@ -8,7 +8,8 @@ from pipeline.bus.tap import Heard, Tap
 from pipeline.client.described import Description
 from pipeline.client.graph_client import GraphClient, Listener, output_of
 from pipeline.errors import FoveaError
-from pipeline.fleet.deploy import Fleet, Hosts
+from pipeline.fleet.deploy import Fleet
+from pipeline.fleet.hosts import Hosts
 from pipeline.fleet.relay import new_name
 from pipeline.protocol import fleet as wire
 

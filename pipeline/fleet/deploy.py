@@ -4,28 +4,23 @@ First every agent confirms that it may run its part; only then anything starts. 
 setting is sent as its checksum; a host that lacks the file receives it if its allow list has it.
 """
 
-import fcntl
 import getpass
-import json
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-import msgspec
-
 from pipeline.bus.network import Network
 from pipeline.bus.session import Session
-from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, Silent
-from pipeline.fleet.agent_file import local_endpoint
+from pipeline.errors import FoveaError, GraphError, RunError, Silent
 from pipeline.fleet.hosted_graph import END_S
+from pipeline.fleet.hosts import Hosts
 from pipeline.fleet.inspection import INSPECT_S
 from pipeline.fleet.links import asker_permits
-from pipeline.fleet.names import ANYBODY, agent_key, connected, endpoint, is_routed, region_of
+from pipeline.fleet.names import agent_key, connected, is_routed, region_of
 from pipeline.fleet.placement import (
     DIGEST_PREFIX,
     MOST_WEIGHTS_BYTES,
@@ -34,13 +29,11 @@ from pipeline.fleet.placement import (
     is_path,
     partners,
 )
-from pipeline.fleet.secure import ADDRESSES, Credentials
+from pipeline.fleet.remembered import forget, remember, remembered
 from pipeline.graph.plan import Plan
 from pipeline.graph.ports import fingerprints
-from pipeline.naming import check_name
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import ControlMessage, decode_answer, encode
-from pipeline.whole_file import write_whole
 
 AT_ONCE = 16  # hosts asked at once; one that is silent must not delay the others
 TIMEOUT_S = 5.0  # time for an agent to answer
@@ -48,52 +41,6 @@ DOWN_S = END_S + INSPECT_S + 5.0  # the agent may be inspecting another graph
 READY_S = 90.0
 T = TypeVar("T")
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Hosts:
-    """The end points of agents, and the credentials to contact them."""
-
-    points: Mapping[str, str]  # label -> end point
-    credentials: str = ""
-    nodes: Mapping[str, str] = field(default_factory=dict)  # of a deployed graph: node -> label
-
-    @property
-    def identity(self) -> str:
-        """The identity of the client."""
-        return Credentials.of(Path(self.credentials)).identity if self.credentials else ANYBODY
-
-
-def read_hosts(words: Iterable[str], credentials: Path | None, labels: Iterable[str] = ()) -> Hosts:
-    """Return end points: from `LABEL=ADDRESS`, else from the credentials, else on this machine.
-
-    `labels` are the required hosts, given or not. Raises `SettingsError`.
-    """
-    said = dict(word.partition("=")[::2] for word in ",".join(words).split(",") if word)
-    known = known_addresses(credentials) if credentials else {}
-    points = {}
-    for label in dict.fromkeys([*labels, *said]):
-        check_name(label, "--hosts", SettingsError)
-        address = said.get(label) or known.get(label, "")
-        if credentials and not address:
-            raise SettingsError(f"--hosts: expected {label}=ADDRESS, as {credentials} knows none")
-        points[label] = endpoint(address, f"--hosts {label}") if address else local_endpoint(label)
-    if credentials is None and any(
-        point.startswith("tls/") or is_routed(point) for point in points.values()
-    ):
-        raise SettingsError("--hosts: a network address needs --credentials, see `fovea secure`")
-    return Hosts(points, str(credentials.resolve()) if credentials else "")
-
-
-def known_addresses(credentials: Path) -> dict[str, str]:
-    """Return the addresses that `fovea secure` stored with credentials: label -> address."""
-    path = credentials / ADDRESSES
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=dict[str, str])
-    except FileNotFoundError:
-        return {}
-    except msgspec.MsgspecError as error:
-        raise SettingsError(f"{path}: expected label: address, got {error}") from error
 
 
 class Fleet:
@@ -273,32 +220,6 @@ def send_weights(
         fleet.ask(label, "weights", files[digest].read_bytes(), wire.Accepted, READY_S)
 
 
-def remembered() -> dict[str, Hosts]:
-    """Return the graphs that this user has deployed, and their hosts."""
-    try:
-        document = json.loads(_memory().read_text())
-        return {
-            g: Hosts(dict(h["points"]), str(h["credentials"]), dict(h["nodes"]))
-            for g, h in document.items()
-        }
-    except FileNotFoundError:
-        return {}
-    except (ValueError, KeyError, TypeError) as error:
-        raise RunError(f"{_memory()}: not what `fovea up` wrote: {error}") from error
-
-
-def remember(graph: str, hosts: Hosts) -> None:
-    """Store where a graph was deployed."""
-    with _alone():
-        _write({**remembered(), graph: hosts})
-
-
-def forget(graph: str) -> None:
-    """Remove the record of a graph that was taken down."""
-    with _alone():
-        _write({g: h for g, h in remembered().items() if g != graph})
-
-
 def default_user() -> str:
     """Return the name of this user."""
     return getpass.getuser()
@@ -360,25 +281,3 @@ def _is_on(fleet: Fleet, label: str, graph: str) -> bool:
         return graph in fleet.ask(label, "about", wire.Nothing(), wire.About).graphs
     except FoveaError:
         return True
-
-
-def _memory() -> Path:
-    folder = Path.home() / ".local" / "state" / "fovea"  # persistent, as on the hosts
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return folder / "fleet.json"
-
-
-@contextmanager
-def _alone() -> Iterator[None]:
-    """Hold an exclusive lock for a read-modify-write; it ends with this process."""
-    with _memory().with_suffix(".lock").open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
-
-
-def _write(graphs: Mapping[str, Hosts]) -> None:
-    document = {
-        g: {"points": dict(h.points), "credentials": h.credentials, "nodes": dict(h.nodes)}
-        for g, h in graphs.items()
-    }
-    write_whole(_memory(), json.dumps(document))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pipeline.errors import RunError, SettingsError
 from pipeline.fleet import secure
-from pipeline.fleet.deploy import known_addresses
+from pipeline.fleet.hosts import known_addresses
 from pipeline.fleet.names import (
     ROUTED,
     ROUTER,

@@ -4,7 +4,8 @@ import json
 import secrets
 from pathlib import Path
 
-from pipeline.fleet.deploy import Hosts, forget, remember, remembered
+from pipeline.fleet.hosts import Hosts
+from pipeline.fleet.remembered import forget, remember, remembered
 from tests.pipeline.cli.test_detached import fovea
 from tests.sample_graphs import CHAIN, together
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from pipeline.fleet.agent import Agent
 from pipeline.fleet.agent_file import AgentFile, HostConfig
-from pipeline.fleet.deploy import Fleet, read_hosts
+from pipeline.fleet.deploy import Fleet
+from pipeline.fleet.hosts import read_hosts
 from pipeline.fleet.placement import ANY
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan

@@ -17,17 +17,11 @@ from pipeline.bus.session import Session
 from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import hosted_graph
-from pipeline.fleet.deploy import (
-    Fleet,
-    attach,
-    down,
-    remembered,
-    send_weights,
-    up,
-)
+from pipeline.fleet.deploy import Fleet, attach, down, send_weights, up
 from pipeline.fleet.links import asker_permits
 from pipeline.fleet.names import agent_key, host_identity
 from pipeline.fleet.questions import Questions
+from pipeline.fleet.remembered import remembered
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import decode_answer, encode
 from pipeline.protocol.orders import SwapOrder

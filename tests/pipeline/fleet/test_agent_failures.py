@@ -9,12 +9,8 @@ import pytest
 
 from pipeline.bus.network import LOCAL
 from pipeline.errors import RunError
-from pipeline.fleet.deploy import (
-    Fleet,
-    down,
-    read_hosts,
-    up,
-)
+from pipeline.fleet.deploy import Fleet, down, up
+from pipeline.fleet.hosts import read_hosts
 from pipeline.protocol import fleet as wire
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor

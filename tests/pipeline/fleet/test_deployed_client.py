@@ -11,8 +11,9 @@ from pipeline.client import listening
 from pipeline.client.deployed import DeployedGraph
 from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet.deploy import Fleet, down, remembered, up
+from pipeline.fleet.deploy import Fleet, down, up
 from pipeline.fleet.hosted_graph import HostedGraph, change, check_inside
+from pipeline.fleet.remembered import remembered
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.orders import TopologyResult
 from tests.pipeline.fleet.agents import (

@@ -9,7 +9,8 @@ import pytest
 from pipeline.client.deployed import DeployedGraph
 from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet.deploy import Fleet, down, remembered, up
+from pipeline.fleet.deploy import Fleet, down, up
+from pipeline.fleet.remembered import remembered
 from tests.json_answers import ANSWERS, check
 from tests.pipeline.fleet.agents import DUO, agents, fleet_of, handled, plan_of, state_of
 from tests.sample_graphs import until

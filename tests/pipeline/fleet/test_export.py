@@ -16,11 +16,12 @@ from pipeline.cli.fleet import export_command
 from pipeline.errors import GraphError, RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.agent_file import read
-from pipeline.fleet.deploy import default_user, read_hosts
+from pipeline.fleet.deploy import default_user
 from pipeline.fleet.export.bundle import AGENT, HEARTBEAT, Bundle, memory_mb
 from pipeline.fleet.export.compose import compose
 from pipeline.fleet.export.kubernetes import k8s
 from pipeline.fleet.export.systemd import systemd
+from pipeline.fleet.hosts import read_hosts
 from pipeline.fleet.links import networks
 from pipeline.fleet.placement import place, plan_for
 from pipeline.fleet.provisioning import check_addressed, issue_for

@@ -10,8 +10,10 @@ import pytest
 from pipeline.client.find import find
 from pipeline.errors import FoveaError, GraphError, RunError, Silent
 from pipeline.fleet.agent_file import AgentFile, HostConfig
-from pipeline.fleet.deploy import Fleet, Hosts, down, forget, remember, remembered, send_weights, up
+from pipeline.fleet.deploy import Fleet, down, send_weights, up
+from pipeline.fleet.hosts import Hosts
 from pipeline.fleet.placement import ANY, MOST_WEIGHTS_BYTES
+from pipeline.fleet.remembered import forget, remember, remembered
 from pipeline.protocol import fleet as wire
 from tests.pipeline.fleet.agents import Running, fleet_of, plan_of
 
