@@ -3,6 +3,7 @@
 Looks come from `look.py`, as they do live: the context, shrunk and enlarged again, and a sharp ROI
 that shows all, a part or nothing of it. Four kinds of samples: an object at two moments; something
 pasted on two grounds; the same with others beside it; and a search picture without the object.
+Where the second moment is made up, the object is turned, stretched and smeared in it.
 """
 
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.tracker.look import Streams, normalise, size_of
+from operators.tracker.look import Streams, size_of
 from operators.tracker.pieces import ACROSS, PIECE_PX, Pieces
 from operators.tracker.template import (
     CELLS,
@@ -28,12 +29,14 @@ from pipeline.testing import header
 
 ABSENT, PASTED = 0.2, 0.35  # shares of samples
 SMALL, SMALL_PX = 0.35, 20.0  # share of objects that are surely smaller than this
+TURN_DEG, STRETCH = 7.0, 0.07  # between two moments that are made up; standard deviations
+SMEARED, SMEAR = 0.3, 0.5  # share of them, and how far at most, in sizes
 SHIFT = 1.2  # largest distance of the object from a search picture's middle, in sizes
 NEAR = 1.5  # cells from the object's middle that learn its place and size
 NOTHING = np.zeros((0, 0, 3), np.uint8)
 Box = NDArray[np.float32]  # (4,) xyxy
 Picture = NDArray[np.uint8]
-Arrays = dict[str, NDArray[np.float32]]
+Arrays = dict[str, NDArray[np.float32] | Picture]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,6 +119,40 @@ def shifted(scene: Scene, rng: np.random.Generator) -> Scene:
     return Scene(picture=np.asarray(moved, np.uint8), box=box, scale=scene.scale)
 
 
+def changed(scene: Scene, rng: np.random.Generator) -> Scene:
+    """The object some moments later: turned, stretched, and smeared by its own motion."""
+    middle, sides = centres(scene.box), scene.box[2:] - scene.box[:2]
+    stretch = np.exp(rng.normal(0, STRETCH, 2))
+    turn = np.deg2rad(rng.normal(0, TURN_DEG))
+    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * stretch
+    matrix = np.concatenate([matrix, (middle - matrix @ middle)[:, None]], 1)
+    size = (PIECE_PX, PIECE_PX)
+    picture = cv2.warpAffine(scene.picture, matrix, size, borderMode=cv2.BORDER_REFLECT_101)
+    sides = sides * stretch
+    if rng.random() < SMEARED:
+        way = rng.uniform(0, SMEAR) * size_of(scene.box) * np.array(
+            [np.cos(angle := rng.uniform(0, 2 * np.pi)), np.sin(angle)]
+        )  # fmt: skip
+        picture = cv2.filter2D(picture, -1, line(way))
+        sides = sides + np.abs(way) / 2
+    box = from_centres(middle, sides.astype(np.float32))
+    return Scene(picture=np.asarray(picture, np.uint8), box=box, scale=scene.scale)
+
+
+def line(way: NDArray[np.float64]) -> NDArray[np.float32]:
+    """A kernel (k, k) of sum 1 that smears a picture along `way` (x, y), in pixels.
+
+    >>> line(np.array([2.0, 0.0])).round(2).tolist()[1]
+    [0.33, 0.33, 0.33]
+    """
+    reach = max(1, int(np.ceil(np.abs(way).max() / 2)))
+    kernel = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
+    for part in np.linspace(-0.5, 0.5, 6 * reach + 3):
+        x, y = np.round(way * part).astype(int) + reach
+        kernel[y, x] += 1
+    return np.asarray(kernel / kernel.sum(), np.float32)
+
+
 def chosen(pieces: Pieces, rng: np.random.Generator) -> tuple[int, int]:
     """Rows of a pair; balls are one object in twenty, and are drawn more often than that."""
     rows = np.arange(len(pieces.pairs))
@@ -156,7 +193,10 @@ def drawn(pieces: Pieces, rng: np.random.Generator) -> tuple[Scene, Scene, bool]
         same = other in (first, second)
         return scene_of(pieces, first), scene_of(pieces, other), bool(same)
     if draw < ABSENT + PASTED:
-        return *pasted_pair(pieces, rng), True
+        before, now = pasted_pair(pieces, rng)
+        return before, changed(now, rng), True
+    if first == second:
+        return scene_of(pieces, first), changed(scene_of(pieces, first), rng), True
     if rng.random() < 0.5:
         first, second = second, first
     return scene_of(pieces, first), scene_of(pieces, second), True
@@ -188,12 +228,13 @@ def sample(pieces: Pieces, rng: np.random.Generator) -> tuple[Picture, Box, Pict
 def batch(pieces: Pieces, count: int, rng: np.random.Generator) -> Arrays:
     """Samples as a training takes them; heat (n, 16, 16), near (n, 16, 16), place (n, 4, 16, 16).
 
-    `place` is log width and height against a quarter of the picture, and the offset in cells.
+    Pictures are (n, 3, h, w) of 8 bit, which take a quarter of the way to a GPU. `place` is log
+    width and height against a quarter of the picture, and the offset in cells.
     """
     out: Arrays = {
-        "template": np.empty((count, 3, TEMPLATE_PX, TEMPLATE_PX), np.float32),
+        "template": np.empty((count, 3, TEMPLATE_PX, TEMPLATE_PX), np.uint8),
         "shape": np.empty((count, 2), np.float32),
-        "search": np.empty((count, 3, SEARCH_PX, SEARCH_PX), np.float32),
+        "search": np.empty((count, 3, SEARCH_PX, SEARCH_PX), np.uint8),
         "there": np.zeros((count, 1), np.float32),
         "heat": np.zeros((count, CELLS, CELLS), np.float32),
         "near": np.zeros((count, CELLS, CELLS), np.float32),
@@ -201,8 +242,10 @@ def batch(pieces: Pieces, count: int, rng: np.random.Generator) -> Arrays:
     }
     for k in range(count):
         template, shape, search, box, there = sample(pieces, rng)
-        normalise(template, out["template"][k : k + 1])
-        normalise(search, out["search"][k : k + 1])
+        out["template"][k], out["search"][k] = (
+            template.transpose(2, 0, 1),
+            search.transpose(2, 0, 1),
+        )
         out["shape"][k] = shape
         if there:
             out["there"][k] = 1

@@ -14,9 +14,9 @@ from operators.tracker.template import CELLS, TEMPLATE_PX
 
 STRIDE = 8
 TEMPLATE_CELLS = TEMPLATE_PX // STRIDE
-WIDTHS = (16, 32, 64)  # channels at strides 2, 4, 8
+WIDTHS = (16, 32, 80)  # channels at strides 2, 4, 8
 COMPARED = 64  # channels by which cells are compared
-HEAD = 64
+HEAD = 80
 
 
 def convolution(
@@ -54,13 +54,12 @@ class TemplateNet(nn.Module):
             convolution(3, first, 3, 2),
             convolution(first, second, 3, 2),
             convolution(second, third, 3, 2),
-            Residual(third),
-            Residual(third),
+            *(Residual(third) for _ in range(3)),
         )
         self.compared = nn.Conv2d(third, COMPARED, 1)
         self.sharpness = nn.Parameter(torch.tensor(4.0))
         self.enter = convolution(TEMPLATE_CELLS**2 + third + 2, HEAD, 1)
-        self.head = nn.Sequential(*(Residual(HEAD) for _ in range(3)))
+        self.head = nn.Sequential(*(Residual(HEAD) for _ in range(4)))
         self.maps = nn.Conv2d(HEAD, 5, 1)  # heat, log width, log height, offset x, y
         self.there = nn.Linear(2 * HEAD, 1)
         nn.init.constant_(self.maps.bias[:1], -4.0)  # one cell in many holds the object

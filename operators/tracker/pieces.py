@@ -23,12 +23,13 @@ from operators.training.identity import Identity, of_code
 from operators.training.progress import tracked
 from operators.training.splits import HELD_OUT
 from operators.training.stills import PICTURES, labels_of, read_rows
+from operators.training.workers import pool_of
 from pipeline.boxes import centres, from_centres
 from pipeline.errors import DriverError
 
 PIECE_PX, ACROSS = 224, 7  # side of a piece, and how many sizes of the object that is
 TRAIN_SEEDS = 33_000  # no other part of the project uses them
-OF_STILL, OF_MOMENT, OF_VIDEO = 6, 6, 24  # objects of a still and a moment; pictures of a video
+OF_STILL, OF_MOMENT, OF_VIDEO = 16, 8, 24  # objects of a still and a moment; pictures of a video
 GAPS = (1, 40)  # frames between the two moments of a pair
 LEAST_PX, LEAST_SEEN = 6.0, 0.5
 # names of files and folders that begin like this are never read; the last is a clip for evaluation
@@ -69,7 +70,7 @@ def piece(picture: Picture, box: Box) -> tuple[Picture, Box, float]:
 
 
 def prepare(
-    folder: Path, scenes: int, moments: int, stills: tuple[Path, ...], phase: str
+    folder: Path, scenes: int, moments: int, stills: tuple[Path, ...], phase: str, workers: int = 1
 ) -> list[Path]:
     """Make missing files of pieces; raises `DriverError` for a source that cannot be read."""
     made = of_code("operators.tracker.pieces", "drivers.scenes.soccer:SoccerScene")
@@ -80,13 +81,18 @@ def prepare(
         for path in sources_of(place):
             wanted[folder / f"{place.parent.name}_{place.name}_{path.stem}.npz"] = path
     folder.mkdir(parents=True, exist_ok=True)
-    for path in tracked(outdated(wanted, made, print), phase):
-        source = wanted[path]
-        if isinstance(source, int):
-            write_pieces(path, of_scene(source, moments), made)
-        else:
-            write_pieces(path, of_source(source), made)
+    missing = outdated(wanted, made, print)
+    with pool_of(workers) as pool:
+        jobs = [pool.submit(_cut, path, wanted[path], moments, made) for path in missing]
+        for job in tracked(jobs, phase):
+            job.result()
     return list(wanted)
+
+
+def _cut(path: Path, source: int | Path, moments: int, made: Identity) -> None:
+    cv2.setNumThreads(1)
+    found = of_scene(source, moments) if isinstance(source, int) else of_source(source)
+    write_pieces(path, found, made)
 
 
 def sources_of(place: Path) -> list[Path]:

@@ -8,18 +8,17 @@ The loss has three parts: the heat map by the focal loss of CenterNet (Zhou et a
 import time
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from operators.tracker.data import batch
+from operators.tracker.batches import Batches, Given, normalised, stream
 from operators.tracker.model import Deployed, TemplateNet
-from operators.tracker.pieces import NEVER_READ, TRAIN_SEEDS, Pieces, load, prepare
+from operators.tracker.pieces import NEVER_READ, TRAIN_SEEDS, prepare
 from operators.tracker.template import INPUTS, OUTPUTS
 from operators.tracker.training_settings import TrainSettings
 from operators.training import checkpoint
-from operators.training.device import device_of, moved
+from operators.training.device import device_of
 from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
@@ -31,9 +30,9 @@ PHASES = Phases("cut pieces", "train")
 AVERAGED = 0.998  # of the weights that are shipped, per step
 
 
-def losses(net: TemplateNet, given: dict[str, Tensor]) -> dict[str, Tensor]:
+def losses(net: TemplateNet, given: Given) -> dict[str, Tensor]:
     """Return the parts of the loss; training minimises their sum."""
-    maps, there = net(given["template"], given["shape"], given["search"])
+    maps, there = net(normalised(given["template"]), given["shape"], normalised(given["search"]))
     logits, heat = maps[:, 0], given["heat"]
     present = given["there"].sum().clamp(min=1)
     sure = logits.sigmoid()
@@ -90,32 +89,36 @@ def train(settings: TrainSettings) -> Run:
     settings.out.mkdir(parents=True, exist_ok=True)
     run = Run(settings)
     run.resume()  # another training is refused now, and not after the drawing
-    pieces = load(
-        prepare(
-            settings.data, settings.scenes, settings.moments, settings.stills, PHASES["cut pieces"]
-        )
-    )
+    files = prepare(
+        settings.data, settings.scenes, settings.moments, settings.stills, PHASES["cut pieces"],
+        settings.threads,
+    )  # fmt: skip
     run.net.train()
     began = time.monotonic() - run.elapsed_s
     log = settings.out / "log.csv"
     shorten(log, run.step)
+    over = run.elapsed_s > settings.minutes * 60
+    steps = range(run.step, run.step if over else settings.steps)
+    told = ""
     with bar(PHASES["train"], settings.steps, run.step) as shown:
-        while run.step < settings.steps and run.elapsed_s < settings.minutes * 60:
-            figures = advance(run, pieces)
+        for given in stream(Batches(files, settings), steps, settings, run.device):
+            parts = advance(run, given)
             run.elapsed_s = time.monotonic() - began
             if run.step % EVERY == 0:
+                figures = {name: float(part) for name, part in parts.items()}
                 note(log, run.step, run.elapsed_s, figures)
-            shown.step(" ".join(f"{name} {value:.3f}" for name, value in figures.items()))
+                told = " ".join(f"{name} {value:.3f}" for name, value in figures.items())
+            shown.step(told)
             run.save_when_due()
+            if run.elapsed_s > settings.minutes * 60:
+                break
     run.save()
     return run
 
 
-def advance(run: Run, pieces: Pieces) -> dict[str, float]:
+def advance(run: Run, given: Given) -> dict[str, Tensor]:
     """One step of the optimiser: the parts of the loss."""
     s = run.settings
-    drawn = batch(pieces, s.batch, np.random.default_rng([s.seed, 41, run.step]))
-    given = {name: moved(torch.from_numpy(values), run.device) for name, values in drawn.items()}
     for group in run.optimiser.param_groups:
         group["lr"] = warmed_cosine(run.step, peak=s.rate, warmup=s.warmup, steps=s.steps)
     parts = losses(run.net, given)
@@ -125,7 +128,7 @@ def advance(run: Run, pieces: Pieces) -> dict[str, float]:
     run.optimiser.step()
     run.step += 1
     run.follow()
-    return {name: float(part.detach()) for name, part in parts.items()}
+    return {name: part.detach() for name, part in parts.items()}
 
 
 def export(run: Run, path: Path) -> None:

@@ -10,13 +10,16 @@ import pytest
 pytest.importorskip("torch", reason="needs the train extra")
 import torch
 
+from operators.tracker import batches
 from operators.tracker import training_run as training
-from operators.tracker.data import ABSENT, batch, sample, targets
-from operators.tracker.pieces import PIECE_PX, Pieces, of_source, piece, sources_of
+from operators.tracker.batches import Batches, again, normalised, stream
+from operators.tracker.data import ABSENT, Scene, batch, changed, sample, targets
+from operators.tracker.look import normalise
+from operators.tracker.pieces import PIECE_PX, Pieces, of_source, piece, prepare, sources_of
 from operators.tracker.template import Template
 from operators.tracker.training_settings import TrainSettings
 from pipeline import DriverError, SettingsError, WeightsError
-from pipeline.boxes import centres
+from pipeline.boxes import centres, iou
 
 
 def pieces_of(count: int, seed: int) -> Pieces:
@@ -107,23 +110,102 @@ def test_a_label_that_is_none_is_an_error_with_file_and_line(tmp_path: Path):
         list(of_source(tmp_path / "images" / "a.png"))
 
 
-def test_a_resumed_training_ends_with_the_same_network(tmp_path: Path, monkeypatch):
+def test_the_box_of_an_object_some_moments_later_is_around_it():
+    picture = np.full((PIECE_PX, PIECE_PX, 3), 20, np.uint8)
+    picture[92:132, 100:124] = 230
+    scene = Scene(picture=picture, box=np.array([100, 92, 124, 132], np.float32), scale=1.0)
+    overlaps = []
+
+    for seed in range(40):
+        later = changed(scene, np.random.default_rng(seed))
+        rows, columns = np.nonzero(later.picture[..., 0] > 125)
+        seen = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], np.float32)
+        overlaps.append(float(iou(seen[None], later.box[None])[0, 0]))
+
+    assert np.median(overlaps) > 0.8
+    assert len({round(v, 3) for v in overlaps}) > 20  # none is as it was
+
+
+def given_of(pieces: Pieces, count: int) -> batches.Given:
+    drawn = batch(pieces, count, np.random.default_rng(4))
+    return {name: torch.from_numpy(values) for name, values in drawn.items()}
+
+
+def test_a_batch_used_again_is_mirrored_with_all_that_belongs_to_it():
+    given = given_of(pieces_of(8, seed=1), 6)
+
+    found = again(given, 7)
+
+    for name in ("heat", "near"):
+        torch.testing.assert_close(found[name], given[name].flip(-1))
+    torch.testing.assert_close(found["place"][:, 2], -given["place"][:, 2].flip(-1))
+    torch.testing.assert_close(found["place"][:, :2], given["place"][:, :2].flip(-1))
+    torch.testing.assert_close(found["shape"], given["shape"])
+    near = torch.corrcoef(
+        torch.stack([found["search"].flatten(), given["search"].flip(-1).flatten()]).float()
+    )[0, 1]
+    assert near > 0.9  # the same picture in another light
+    assert not torch.equal(found["search"], given["search"].flip(-1))
+
+
+def test_an_even_seed_does_not_mirror():
+    given = given_of(pieces_of(8, seed=1), 3)
+
+    torch.testing.assert_close(again(given, 6)["heat"], given["heat"])
+
+
+def test_pictures_are_normalised_as_they_are_live():
+    picture = np.random.default_rng(2).integers(0, 256, (16, 16, 3)).astype(np.uint8)
+    live = np.empty((1, 3, 16, 16), np.float32)
+    normalise(picture, live)
+
+    found = normalised(torch.from_numpy(picture.transpose(2, 0, 1).copy())[None])
+
+    np.testing.assert_allclose(found.numpy(), live, atol=1e-5)
+
+
+@pytest.mark.parametrize("repeats", [0, 1, 2])
+def test_a_resumed_training_ends_with_the_same_network(tmp_path: Path, monkeypatch, repeats: int):
     pieces = pieces_of(6, seed=2)
     monkeypatch.setattr(training, "prepare", lambda *_: [])
-    monkeypatch.setattr(training, "load", lambda _: pieces)
-    whole = training.train(settings_in(tmp_path / "whole", steps=4))
-    half = training.Run(settings_in(tmp_path / "parts", steps=4))
+    monkeypatch.setattr(batches, "load", lambda _: pieces)
+    whole = training.train(settings_in(tmp_path / "whole", steps=5, again=repeats))
+    half = training.Run(settings_in(tmp_path / "parts", steps=5, again=repeats))
     half.settings.out.mkdir()
     half.net.train()
-    for _ in range(2):
-        training.advance(half, pieces)
+    source = Batches([], half.settings)
+    for given in stream(source, range(2), half.settings, half.device):
+        training.advance(half, given)
     half.save()
 
-    resumed = training.train(settings_in(tmp_path / "parts", steps=4))
+    resumed = training.train(settings_in(tmp_path / "parts", steps=5, again=repeats))
 
-    assert resumed.step == 4
+    assert resumed.step == 5
     for name, value in whole.average.state_dict().items():
         torch.testing.assert_close(resumed.average.state_dict()[name], value)
+
+
+def test_processes_beside_the_training_make_the_batches_that_it_makes_itself(
+    tmp_path: Path, monkeypatch
+):
+    image = np.random.default_rng(1).integers(0, 256, (300, 300, 3)).astype(np.uint8)
+    for name in ("images", "labels"):
+        (tmp_path / name).mkdir()
+    cv2.imwrite(str(tmp_path / "images" / "a.png"), image)
+    (tmp_path / "labels" / "a.txt").write_text("0 .5 .5 .1 .1\n")
+    files = prepare(tmp_path / "pieces", 0, 1, (tmp_path,), "cut")
+    settings = settings_in(tmp_path, again=1, threads=2)
+    steps = range(1, 4)
+    alone = list(stream(Batches(files, settings), steps, settings, torch.device("cpu")))
+    monkeypatch.setattr(batches, "on", lambda given, _: given)
+
+    # a device that is no processor has batches made beside the training
+    beside = list(stream(Batches(files, settings), steps, settings, torch.device("meta")))
+
+    assert len(beside) == len(alone) == 3
+    for mine, theirs in zip(alone, beside, strict=True):
+        for name, values in mine.items():
+            torch.testing.assert_close(theirs[name], values)
 
 
 def test_an_exported_network_says_what_the_trained_one_does(tmp_path: Path):
