@@ -21,6 +21,7 @@ PERSON_PX = (8.0, 60.0)  # height of people after shrinking, from a lean context
 MOST_ENLARGED = 1.6
 USUAL_SHARE = 0.45  # of the crops that have the scale of the context, or of a tile
 CONTEXT_SHARE = 0.7  # of the pictures for a larger input: what a context shows, enlarged
+LEAST_PLAYERS, LEAST_APART = 6, 30.0  # to tell two teams apart: people, levels of colour
 WEIGHTS = {BALL_LABEL: 4.0, NAMES.index("referee"): 2.5}  # of what a crop is placed around
 
 
@@ -38,6 +39,8 @@ def augmented(
         example = mirrored(example)
     if rng.random() < 0.3:
         example = recoloured_kits(example, rng)
+    if rng.random() < 0.3:
+        example = recoloured_team(example, rng)
     if rng.random() < 0.35:
         example = recoloured_referees(example, rng)
     example = paste_people(example, bank, rng)
@@ -102,8 +105,48 @@ def mirrored(example: Example) -> Example:
 
 def recoloured_kits(example: Example, rng: np.random.Generator) -> Example:
     """The colours of all players turned by one angle; referees and grass keep theirs."""
-    turn = int(rng.integers(10, 170))
-    return _dressed(example, (NAMES.index("player"), ANYONE), turn, 1.0)
+    places = _places(example, (NAMES.index("player"), ANYONE))
+    return _dressed(example, places, int(rng.integers(10, 170)), 1.0)
+
+
+def recoloured_team(example: Example, rng: np.random.Generator) -> Example:
+    """One team in black or in one bright colour, as referees are: a team is told by its number."""
+    places = _places(example, (NAMES.index("player"),))
+    own = one_team(example, places)
+    team = [place for place, chosen in zip(places, own, strict=True) if chosen]
+    if rng.random() < 0.35:
+        return _dressed(example, team, 0, float(rng.uniform(0.15, 0.4)))
+    return painted(example, team, rng)
+
+
+def one_team(example: Example, places: list[list[int]]) -> NDArray[np.bool_]:
+    """Who of the people in some boxes is in the team with the brighter shirts: (n,).
+
+    Nobody where two teams cannot be told apart.
+    """
+    nobody = np.zeros(len(places), np.bool_)
+    shirts = [_shirt(example.picture, place) for place in places]
+    if len(shirts) < LEAST_PLAYERS or any(shirt is None for shirt in shirts):
+        return nobody
+    colours = np.array(shirts, np.float32)
+    far = np.linalg.norm(colours - colours.mean(0), axis=1).argmax()
+    away = np.linalg.norm(colours - colours[far], axis=1)
+    begin = (away > np.median(away)).astype(np.int32)[:, None]
+    rule = (cv2.TERM_CRITERIA_MAX_ITER, 10, 0.0)
+    _, which, middles = cv2.kmeans(colours, 2, begin, rule, 1, cv2.KMEANS_USE_INITIAL_LABELS)
+    if np.linalg.norm(middles[0] - middles[1]) < LEAST_APART:
+        return nobody
+    return np.asarray(which[:, 0] == middles.sum(1).argmax())
+
+
+def _shirt(picture: NDArray[np.uint8], place: list[int]) -> NDArray[np.float64] | None:
+    """The mean colour of the upper half of a person; none where only grass is seen."""
+    left, top, right, bottom = (max(side, 0) for side in place)
+    part = picture[top : (top + bottom) // 2, left:right]
+    if not part.size:
+        return None
+    own = part[~is_grass(cv2.cvtColor(part, cv2.COLOR_RGB2HSV))]
+    return np.asarray(own.mean(0)) if len(own) else None
 
 
 def recoloured_referees(example: Example, rng: np.random.Generator) -> Example:
@@ -111,7 +154,7 @@ def recoloured_referees(example: Example, rng: np.random.Generator) -> Example:
 
     Few matches show few kits: what makes a referee is not to be dressed like either team.
     """
-    draw, referees = rng.random(), (NAMES.index("referee"),)
+    draw, referees = rng.random(), _places(example, (NAMES.index("referee"),))
     if draw < 0.3:
         return _dressed(example, referees, 0, float(rng.uniform(0.15, 0.4)))
     if draw < 0.65:
@@ -119,15 +162,15 @@ def recoloured_referees(example: Example, rng: np.random.Generator) -> Example:
     return _dressed(example, referees, int(rng.integers(10, 170)), 1.0)
 
 
-def painted(example: Example, labels: tuple[int, ...], rng: np.random.Generator) -> Example:
-    """People of some labels in shirts of one bright colour, whatever they wore; grass stays.
+def painted(example: Example, places: list[list[int]], rng: np.random.Generator) -> Example:
+    """People in some boxes in shirts of one bright colour, whatever they wore; grass stays.
 
     Turning a hue leaves black black, and most referees of few matches wear black.
     """
     hue, saturation = int(rng.integers(0, 180)), int(rng.integers(90, 256))
     bright, shirt = rng.uniform(120, 235), rng.uniform(0.45, 1.0)  # the shirt, or shorts too
     picture = example.picture.copy()
-    for left, top, right, bottom in _places(example, labels):
+    for left, top, right, bottom in places:
         low = top + round((bottom - top) * shirt)
         part = picture[max(top, 0) : max(low, 0), max(left, 0) : max(right, 0)]
         if not part.size:
@@ -148,10 +191,10 @@ def _places(example: Example, labels: tuple[int, ...]) -> list[list[int]]:
     return np.round(people).astype(int).tolist()  # type: ignore[no-any-return]
 
 
-def _dressed(example: Example, labels: tuple[int, ...], turn: int, light: float) -> Example:
-    """People of some labels with other colours: hue turned in steps of 2 degrees, value scaled."""
+def _dressed(example: Example, places: list[list[int]], turn: int, light: float) -> Example:
+    """People in some boxes with other colours: hue turned in steps of 2 degrees, value scaled."""
     picture = example.picture.copy()
-    for left, top, right, bottom in _places(example, labels):
+    for left, top, right, bottom in places:
         part = picture[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
         if not part.size:
             continue

@@ -1,9 +1,8 @@
 """Training batches of rendered scenes and labelled stills, augmented differently each time."""
 
 # mypy: disallow-subclassing-any=False
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from operators.saliency.augment import BALL_LABEL, augment
 from operators.saliency.crops import augmented
-from operators.saliency.example import CONTEXT_PX, INPUT_PX, Example, resized, sides_of
+from operators.saliency.example import CONTEXT_PX, Example, resized, sides_of
 from operators.saliency.pasting import Bank
 from operators.saliency.stills import Stills
 from operators.training.arrays import read
@@ -89,10 +88,8 @@ class Real(Dataset[Example]):
     the square root. The stills are kept in memory, 6 MB each for full HD.
     """
 
-    def __init__(
-        self, folders: Iterable[Stills], *, seed: int, size_px: tuple[int, int] = CONTEXT_PX
-    ) -> None:
-        self._seed, self._folders, self._size_px = seed, tuple(folders), size_px
+    def __init__(self, folders: Iterable[Stills], *, seed: int) -> None:
+        self._seed, self._folders = seed, tuple(folders)
         counts = np.array([len(folder.files) for folder in self._folders], np.float64)
         self._turns = np.sqrt(counts) / np.sqrt(counts).sum()
         self._kept: dict[Path, Example] = {}
@@ -101,11 +98,15 @@ class Real(Dataset[Example]):
         return sum(len(folder.files) for folder in self._folders)
 
     def __getitem__(self, number: int) -> Example:
+        return self.sized(number, CONTEXT_PX)
+
+    def sized(self, number: int, size_px: tuple[int, int]) -> Example:
+        """Item `number` for a picture of this width and height."""
         rng = np.random.default_rng([self._seed, number, 1])
         folder = self._folders[rng.choice(len(self._folders), p=self._turns)]
         bank = Bank(count=len(folder.files), still=lambda index: self._still(folder, index))
         still = bank.still(int(rng.integers(bank.count)))
-        example = augmented(still, bank, rng, self._size_px)
+        example = augmented(still, bank, rng, size_px)
         # nothing says where the ball is that must be somewhere: no place counts as empty
         return example if (still.labels == BALL_LABEL).any() else without_ball(example)
 
@@ -132,21 +133,30 @@ def without_ball(example: Example) -> Example:
 
 
 class Mixed(Dataset[Example]):
-    """Item n is of `real` with probability `share`, of `drawn` otherwise."""
+    """Item n is of `real` with probability `share`, of `drawn` otherwise.
 
-    def __init__(self, drawn: Rendered | None, real: Real | None, share: float, seed: int) -> None:
+    Pictures have `widths_px` in turn, `batch` items each: those of a batch have the same size.
+    """
+
+    def __init__(
+        self, drawn: Rendered | None, real: Real | None, share: float, seed: int, *,
+        widths_px: Sequence[int] = CONTEXT_PX[:1], batch: int = 1,
+    ) -> None:  # fmt: skip
         if drawn is None and real is None:
             raise DriverError("data: expected rendered scenes or stills, got none")
         self._drawn, self._real, self._share, self._seed = drawn, real, share, seed
+        self._sizes_px, self._batch = [sides_of(width)[0] for width in widths_px], batch
 
     def __len__(self) -> int:
         return sum(len(part) for part in (self._drawn, self._real) if part is not None)
 
     def __getitem__(self, number: int) -> Example:
-        if self._drawn is None or self._real is None:
-            return (self._drawn or self._real)[number]  # type: ignore[index]
+        size_px = self._sizes_px[number // self._batch % len(self._sizes_px)]
         first = np.random.default_rng([self._seed, number, 2]).random() < self._share
-        return self._real[number] if first else self._drawn[number]
+        if self._real is not None and (first or self._drawn is None):
+            return self._real.sized(number, size_px)
+        assert self._drawn is not None
+        return resized(self._drawn[number], size_px)
 
 
 def rendered_in(folder: Path) -> list[Path]:
@@ -161,15 +171,13 @@ def _pictures(path: Path) -> NDArray[np.uint8]:
         raise DriverError(f"{path}: expected pictures, got {error}") from error
 
 
-def collate(examples: list[Example], width_px: int = INPUT_PX[0]) -> Batch:
-    """Place pictures in an input of this width and pad their object lists to equal length.
+def collate(examples: list[Example]) -> Batch:
+    """Place pictures of one size in an input and pad their object lists to equal length.
 
-    The operator's letterbox does the same: a context smaller than the input is enlarged.
+    The operator's letterbox does the same.
     """
-    size_px, (width, height) = sides_of(width_px)
-    high = size_px[1]
+    (_, high), (width, height) = sides_of(examples[0].picture.shape[1])
     top = (height - high) // 2
-    examples = [resized(item, size_px) for item in examples]
     count, most = len(examples), max(1, *(len(e.labels) for e in examples))
     pictures = np.full((count, height, width, 3), FILL, np.uint8)
     boxes = np.zeros((count, most, 4), np.float32)
@@ -189,16 +197,15 @@ def collate(examples: list[Example], width_px: int = INPUT_PX[0]) -> Batch:
 
 
 def stream(
-    source: Dataset[Example], size: int, steps: range, *, workers: int = 1,
-    width_px: int = INPUT_PX[0],
-) -> Iterator[Batch]:  # fmt: skip
+    source: Dataset[Example], size: int, steps: range, *, workers: int = 1
+) -> Iterator[Batch]:
     """The batches of some steps of a training, prepared by processes beside it."""
     loader = DataLoader(
         source,
         batch_size=size,
         sampler=range(steps.start * size, steps.stop * size),
         num_workers=workers,
-        collate_fn=partial(collate, width_px=width_px),
+        collate_fn=collate,
         prefetch_factor=6,
         multiprocessing_context="spawn",
     )

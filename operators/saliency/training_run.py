@@ -7,6 +7,7 @@ checkpoints at intervals, from which it resumes. `--export` writes the ONNX file
 import time
 from collections.abc import Sequence
 from hashlib import sha256
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +65,9 @@ class Run(checkpoint.Progress):
         if init is None or self.step:
             return
         if init.suffix == ".onnx":
-            numbers = range(CALIBRATION)
-            batch = collate([source[k] for k in numbers], self.settings.width_px)
+            widths, size = len(self.settings.widths_px), self.settings.batch
+            numbers = (k for k in count() if k // size % widths == 0)
+            batch = collate([source[k] for k in islice(numbers, CALIBRATION)])
             from_onnx(init, self.mean, batch.to(self.device))
         else:
             checkpoint.take(init, {"mean": self.mean})
@@ -98,9 +100,11 @@ def source_of(settings: TrainSettings) -> Mixed:
     seed = settings.seed
     return Mixed(
         Rendered(files, seed=seed, raw_share=settings.raw_share) if files else None,
-        Real(real, seed=seed, size_px=sides_of(settings.width_px)[0]) if real else None,
+        Real(real, seed=seed) if real else None,
         settings.stills_share,
         seed,
+        widths_px=settings.widths_px,
+        batch=settings.batch,
     )
 
 
@@ -134,7 +138,7 @@ def train(settings: TrainSettings) -> Run:
     steps = range(run.step, run.step if over else settings.steps)
     # with a GPU, all CPU cores are available for the loader
     workers = 1 if run.device.type == "cpu" else settings.threads
-    batches = stream(source, settings.batch, steps, workers=workers, width_px=settings.width_px)
+    batches = stream(source, settings.batch, steps, workers=workers)
     with bar(PHASES["train"], settings.steps, run.step) as shown:
         told = ""
         for batch in batches:

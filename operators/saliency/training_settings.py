@@ -21,6 +21,7 @@ class TrainSettings:
     leave_out: tuple[str, ...] = HELD_OUT  # beginnings of names of stills that are not trained on
     stills_share: float = 0.65  # of the pictures of a batch, where there are stills
     width_px: int = INPUT_PX[0]  # of the input that pictures are enlarged to
+    also_px: int = 0  # width of every second batch; 0: the same
     scenes: int = 320
     moments: int = 12
     span: int = 900  # frames of each scene over which its moments are spread
@@ -39,15 +40,20 @@ class TrainSettings:
 
     def __post_init__(self) -> None:
         at_least(1, self, "moments", "span", "steps", "batch", "threads")
-        if self.width_px % MULTIPLE_PX:
-            said = f"width_px: must be a multiple of {MULTIPLE_PX}, got {self.width_px}"
-            raise SettingsError(said)
-        if not INPUT_PX[0] <= self.width_px <= MOST_PX:
-            said = f"width_px: must be within {INPUT_PX[0]}..{MOST_PX}, got {self.width_px}"
-            raise SettingsError(said)
+        for name, width in zip(("width_px", "also_px"), self.widths_px, strict=False):
+            if width % MULTIPLE_PX:
+                raise SettingsError(f"{name}: must be a multiple of {MULTIPLE_PX}, got {width}")
+            if not INPUT_PX[0] <= width <= MOST_PX:
+                said = f"{name}: must be within {INPUT_PX[0]}..{MOST_PX}, got {width}"
+                raise SettingsError(said)
         at_least(0, self, "scenes", "warmup", "decay", "seed")  # no scenes: other data alone
         above_zero(self, "rate", "minutes")
         for name in ("raw_share", "stills_share"):
             if not 0 <= (share := getattr(self, name)) <= 1:
                 raise SettingsError(f"{name}: must be within 0..1, got {share}")
         known_device(self.device)
+
+    @property
+    def widths_px(self) -> tuple[int, ...]:
+        """Widths that batches have in turn."""
+        return (self.width_px, self.also_px) if self.also_px else (self.width_px,)

@@ -16,6 +16,7 @@ from operators.saliency.crops import (
     painted,
     recoloured_kits,
     recoloured_referees,
+    recoloured_team,
 )
 from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES, Example, resized
 from operators.saliency.pasting import (
@@ -120,7 +121,8 @@ def test_black_shirts_are_painted_in_one_bright_colour(seed: int) -> None:
         labels=np.array([REFEREE] * 2 + [PLAYER] * 7 + [BALL]),
     )  # fmt: skip
 
-    found = painted(black, (REFEREE,), np.random.default_rng(seed))
+    referees = [box.tolist() for box in rows[:2]]
+    found = painted(black, referees, np.random.default_rng(seed))
 
     shirts = [
         found.picture[top + 5 : top + 20, left + 5 : right - 5] for left, top, right, _ in rows
@@ -130,6 +132,36 @@ def test_black_shirts_are_painted_in_one_bright_colour(seed: int) -> None:
     assert max(colours.pop()) > 110
     assert all((shirt == (25, 22, 24)).all() for shirt in shirts[2:])
     assert (found.picture[0] == (60, 130, 50)).all()
+
+
+def dressed(shirts: list[tuple[int, int, int]]) -> Example:
+    """The still, with players in these shirts and a referee in black as the last of nine."""
+    example = still()
+    for box, shirt in zip(example.boxes[:9].astype(int), [*shirts, (20, 20, 20)], strict=True):
+        example.picture[box[1] + 4 : box[3] - 4, box[0] + 4 : box[2] - 4] = shirt
+    labels = np.array([PLAYER] * 8 + [REFEREE, BALL])
+    return replace(example, labels=labels)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_one_team_gets_a_new_kit_and_the_other_and_the_referee_keep_theirs(seed: int) -> None:
+    example = dressed([(200, 30, 40), (40, 40, 150)] * 4)
+
+    found = recoloured_team(example, np.random.default_rng(seed))
+
+    changed = (found.picture != example.picture).any(2)
+    for row, box in enumerate(example.boxes[:9].astype(int)):
+        shirt = changed[box[1] + 5 : box[1] + 20, box[0] + 5 : box[2] - 5]
+        assert shirt.all() if row < 8 and row % 2 == 0 else not shirt.any()  # the brighter team
+
+
+@pytest.mark.parametrize("shirts", [[(200, 30, 40)] * 8, [(200, 30, 40), (205, 35, 45)] * 4])
+def test_without_two_teams_nobody_gets_a_new_kit(shirts: list[tuple[int, int, int]]) -> None:
+    example = dressed(shirts)
+
+    found = recoloured_team(example, np.random.default_rng(1))
+
+    assert np.array_equal(found.picture, example.picture)
 
 
 @given(SEEDS, st.sampled_from([(480, 270), (736, 414), (200, 113)]))

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("torch", reason="needs the train extra")
 
 from operators.saliency.data import Mixed, Real, Rendered, collate, rendered_in
-from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES, sides_of
+from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES, resized, sides_of
 from operators.saliency.letterbox import Letterbox
 from operators.saliency.stills import stills
 from operators.saliency.training_run import Run, folders, source_of
@@ -129,7 +129,7 @@ def test_a_batch_holds_what_the_operator_gives_a_network_of_that_input(
     example = Real([stills(match)], seed=1)[0]
     letterbox = Letterbox(*sides_of(width_px)[1], scale=1, bgr=False, corner=False)
 
-    batch = collate([example], width_px)
+    batch = collate([resized(example, sides_of(width_px)[0])])
 
     at = letterbox.put(example.picture)
     assert np.array_equal(batch.pictures.numpy(), letterbox.tensor)
@@ -139,12 +139,23 @@ def test_a_batch_holds_what_the_operator_gives_a_network_of_that_input(
 
 def test_pictures_for_a_larger_input_show_enlarged_contexts_and_larger_ones(match: Path) -> None:
     size_px = sides_of(736)[0]
-    real = Real([stills(match)], seed=1, size_px=size_px)
+    real = Real([stills(match)], seed=1)
 
-    found = [real[k] for k in range(12)]
+    found = [real.sized(k, size_px) for k in range(12)]
 
     assert {example.picture.shape for example in found} == {(414, 736, 3)}
     assert all((example.boxes[:, 2:] <= np.array(size_px) + 1e-3).all() for example in found)
+
+
+def test_two_widths_take_turns_batch_by_batch(match: Path) -> None:
+    settings = TrainSettings(data=(match,), out=match, width_px=736, also_px=480)
+    mixed = Mixed(
+        None, Real([stills(match)], seed=1), 1.0, 1, widths_px=settings.widths_px, batch=2
+    )
+
+    batches = [collate([mixed[2 * n], mixed[2 * n + 1]]) for n in range(3)]
+
+    assert [tuple(b.pictures.shape[2:]) for b in batches] == [(416, 736), (288, 480), (416, 736)]
 
 
 @pytest.mark.parametrize(
@@ -154,3 +165,5 @@ def test_pictures_for_a_larger_input_show_enlarged_contexts_and_larger_ones(matc
 def test_a_width_that_no_input_has_is_refused(match: Path, width_px: int, said: str) -> None:
     with pytest.raises(SettingsError, match=f"^width_px: {said}"):
         TrainSettings(data=(match,), out=match, width_px=width_px)
+    with pytest.raises(SettingsError, match=f"^also_px: {said}"):
+        TrainSettings(data=(match,), out=match, also_px=width_px)

@@ -156,11 +156,13 @@ def test_weights_of_any_training_are_exported_with_its_input(
     assert found.size_px == input_px
 
 
-def test_a_training_of_a_larger_input_takes_its_step(tmp_path: Path) -> None:
+def test_a_training_of_larger_inputs_takes_its_steps(tmp_path: Path) -> None:
     data = (footage(tmp_path / "data", 90),)
-    given = replace(settings_in(tmp_path), data=data, scenes=0, batch=2, steps=1, width_px=512)
+    given = replace(
+        settings_in(tmp_path), data=data, scenes=0, batch=2, steps=2, width_px=512, also_px=480
+    )
 
-    assert train(given).step == 1
+    assert train(given).step == 2
 
 
 def test_without_a_checkpoint_exporting_is_refused(
