@@ -15,7 +15,7 @@ WEIGHTS = {"ball": (-1.1, 2.3, 0.6), "player": (2.8, 0.9, 0.8), "referee": (2.3,
 USUAL = WEIGHTS["ball"]  # of other classes
 # Of the odds that a faint candidate is a ball, in nats: bias and gain of the score in the context,
 # before the ROI showed it and afterwards; regressions of bench.second_look.
-UNSEEN, SEEN = (0.66, 3.87), (-0.43, 1.64)
+UNSEEN, SEEN = (0.66, 3.87), (0.02, 1.9)
 # where shares are clipped; a verdict, which joins two clipped ones, less
 LEAST, LEAST_VERDICT = 0.005, 1e-6
 

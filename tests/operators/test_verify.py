@@ -58,7 +58,7 @@ BALL = tracks(0, (1, 0, 700, 400, 0))
 
 @pytest.mark.parametrize(
     ("score", "encoder", "expected"),
-    [(0.5, 0.5, 0.5), (0.7, 0.5, 0.795), (0.5, 0.8, 0.682), (0.7, 0.8, 0.893), (0.2, 0.5, 0.098)],
+    [(0.5, 0.5, 0.5), (0.7, 0.5, 0.775), (0.5, 0.8, 0.691), (0.7, 0.8, 0.885), (0.2, 0.5, 0.117)],
 )
 def test_both_networks_count(score: float, encoder: float, expected: float) -> None:
     closer = detections(("ball", score, 702, 401, 12))
@@ -67,8 +67,8 @@ def test_both_networks_count(score: float, encoder: float, expected: float) -> N
 
 
 def test_what_the_detector_does_not_find_in_the_roi_is_not_genuine() -> None:
-    assert verified(BALL, detections(), {1: 0.9})[1] < 0.001
-    assert verified(BALL, detections(("ball", 0.9, 740, 400, 12)), {1: 0.9})[1] < 0.001
+    assert verified(BALL, detections(), {1: 0.9})[1] < 0.002
+    assert verified(BALL, detections(("ball", 0.9, 740, 400, 12)), {1: 0.9})[1] < 0.002
 
 
 def test_people_keep_what_the_encoder_says() -> None:
@@ -104,7 +104,7 @@ def test_one_find_verifies_the_nearest_candidate_only() -> None:
     found = verified(world, detections(("ball", 0.8, 709, 400, 12)), {1: 0.5, 2: 0.5})
 
     assert found[1] < 0.001
-    assert found[2] > 0.9
+    assert found[2] > 0.85
 
 
 def test_an_encoder_that_verifies_nothing_says_nothing() -> None:
