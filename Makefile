@@ -97,7 +97,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest --doctest-modules --doctest-ignore-import-errors pipeline drivers operators bench
 
-# All networks from nothing, one after the other; goes on where it was interrupted. With g++ the
+# Detector, encoder and policies from nothing, one after the other; goes on where it was interrupted. With g++ the
 # detector's training is compiled first.
 train: $(VENV)/.installed-train
 	$(BIN)/python -m operators.saliency.train --data $(RUNS)/detector/data --out $(RUNS)/detector \

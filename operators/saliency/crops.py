@@ -110,39 +110,44 @@ def recoloured_kits(example: Example, rng: np.random.Generator) -> Example:
 
 
 def recoloured_team(example: Example, rng: np.random.Generator) -> Example:
-    """One team in black or in one bright colour, as referees are: a team is told by its number."""
+    """One of two teams in black or in one bright colour, as referees are, who are few."""
     places = _places(example, (NAMES.index("player"),))
-    own = one_team(example, places)
-    team = [place for place, chosen in zip(places, own, strict=True) if chosen]
+    teams = two_teams(example, places)
+    if teams is None:
+        return example
+    team = [place for place, own in zip(places, teams == rng.integers(2), strict=True) if own]
     if rng.random() < 0.35:
         return _dressed(example, team, 0, float(rng.uniform(0.15, 0.4)))
     return painted(example, team, rng)
 
 
-def one_team(example: Example, places: list[list[int]]) -> NDArray[np.bool_]:
-    """Who of the people in some boxes is in the team with the brighter shirts: (n,).
+def two_teams(example: Example, places: list[list[int]]) -> NDArray[np.int32] | None:
+    """The team, 0 or 1, of the people in some boxes by the colours of their shirts: (n,).
 
-    Nobody where two teams cannot be told apart.
+    -1 of whom only grass is seen; none where two teams cannot be told apart. A goalkeeper, who is
+    labelled as a player, counts to the team of the more similar shirt.
     """
-    nobody = np.zeros(len(places), np.bool_)
     shirts = [_shirt(example.picture, place) for place in places]
-    if len(shirts) < LEAST_PLAYERS or any(shirt is None for shirt in shirts):
-        return nobody
-    colours = np.array(shirts, np.float32)
+    seen = [k for k, shirt in enumerate(shirts) if shirt is not None]
+    if len(seen) < LEAST_PLAYERS:
+        return None
+    colours = np.array([shirts[k] for k in seen], np.float32)
     far = np.linalg.norm(colours - colours.mean(0), axis=1).argmax()
     away = np.linalg.norm(colours - colours[far], axis=1)
     begin = (away > np.median(away)).astype(np.int32)[:, None]
     rule = (cv2.TERM_CRITERIA_MAX_ITER, 10, 0.0)
     _, which, middles = cv2.kmeans(colours, 2, begin, rule, 1, cv2.KMEANS_USE_INITIAL_LABELS)
     if np.linalg.norm(middles[0] - middles[1]) < LEAST_APART:
-        return nobody
-    return np.asarray(which[:, 0] == middles.sum(1).argmax())
+        return None
+    teams = np.full(len(places), -1, np.int32)
+    teams[seen] = which[:, 0]
+    return teams
 
 
 def _shirt(picture: NDArray[np.uint8], place: list[int]) -> NDArray[np.float64] | None:
     """The mean colour of the upper half of a person; none where only grass is seen."""
-    left, top, right, bottom = (max(side, 0) for side in place)
-    part = picture[top : (top + bottom) // 2, left:right]
+    left, top, right, bottom = place
+    part = _part(picture, left, top, right, (top + bottom) // 2)
     if not part.size:
         return None
     own = part[~is_grass(cv2.cvtColor(part, cv2.COLOR_RGB2HSV))]
@@ -172,7 +177,7 @@ def painted(example: Example, places: list[list[int]], rng: np.random.Generator)
     picture = example.picture.copy()
     for left, top, right, bottom in places:
         low = top + round((bottom - top) * shirt)
-        part = picture[max(top, 0) : max(low, 0), max(left, 0) : max(right, 0)]
+        part = _part(picture, left, top, right, low)
         if not part.size:
             continue
         hsv = cv2.cvtColor(part, cv2.COLOR_RGB2HSV)
@@ -186,6 +191,13 @@ def painted(example: Example, places: list[list[int]], rng: np.random.Generator)
     return _with(example, picture)
 
 
+def _part(
+    picture: NDArray[np.uint8], left: int, top: int, right: int, bottom: int
+) -> NDArray[np.uint8]:
+    """What of a box lies in the picture: a view of its pixels."""
+    return picture[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
+
+
 def _places(example: Example, labels: tuple[int, ...]) -> list[list[int]]:
     people = example.boxes[np.isin(example.labels, labels)]
     return np.round(people).astype(int).tolist()  # type: ignore[no-any-return]
@@ -195,7 +207,7 @@ def _dressed(example: Example, places: list[list[int]], turn: int, light: float)
     """People in some boxes with other colours: hue turned in steps of 2 degrees, value scaled."""
     picture = example.picture.copy()
     for left, top, right, bottom in places:
-        part = picture[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
+        part = _part(picture, left, top, right, bottom)
         if not part.size:
             continue
         hsv = cv2.cvtColor(part, cv2.COLOR_RGB2HSV)

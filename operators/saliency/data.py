@@ -152,11 +152,10 @@ class Mixed(Dataset[Example]):
 
     def __getitem__(self, number: int) -> Example:
         size_px = self._sizes_px[number // self._batch % len(self._sizes_px)]
-        first = np.random.default_rng([self._seed, number, 2]).random() < self._share
-        if self._real is not None and (first or self._drawn is None):
-            return self._real.sized(number, size_px)
-        assert self._drawn is not None
-        return resized(self._drawn[number], size_px)
+        real = np.random.default_rng([self._seed, number, 2]).random() < self._share
+        if self._drawn is not None and (self._real is None or not real):
+            return resized(self._drawn[number], size_px)
+        return self._real.sized(number, size_px)  # type: ignore[union-attr]
 
 
 def rendered_in(folder: Path) -> list[Path]:

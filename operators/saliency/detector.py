@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 SHIPPED = Path(__file__).with_name("detector.onnx")
 EIGHT_BITS = Path(__file__).with_name("detector_int8.onnx")  # the same in half the time
-# in eight bits, trained for inputs of 736x416 as well: enlarged contexts, tiles, regions of interest
+# in eight bits, trained for 736x416 and 480x288: enlarged contexts and regions of interest
 LARGER = Path(__file__).with_name("detector_larger.onnx")
 OBJECTS = Path(__file__).parent / "objects" / "objects.onnx"  # what a robot handles
 TEXT = Path(__file__).with_name("text.onnx")  # texts in streets, as turned boxes

@@ -36,7 +36,8 @@ from operators.training.stills import contents as contents_of_stills
 from pipeline.fleet.placement import file_digest
 
 PHASES = Phases("draw scenes", "train")
-CALIBRATION = 64  # pictures over which an exported network is measured before training goes on
+# pictures of `width_px` over which an exported network is measured before training goes on
+CALIBRATION = 64
 TRAIN_SEEDS = 10_000  # first seed of the training scenes; evaluate.py uses others
 
 

@@ -44,7 +44,8 @@ class TrainSettings:
             if width % MULTIPLE_PX:
                 raise SettingsError(f"{name}: must be a multiple of {MULTIPLE_PX}, got {width}")
             if not INPUT_PX[0] <= width <= MOST_PX:
-                said = f"{name}: must be within {INPUT_PX[0]}..{MOST_PX}, got {width}"
+                none = "0 or " if name == "also_px" else ""
+                said = f"{name}: must be {none}within {INPUT_PX[0]}..{MOST_PX}, got {width}"
                 raise SettingsError(said)
         at_least(0, self, "scenes", "warmup", "decay", "seed")  # no scenes: other data alone
         above_zero(self, "rate", "minutes")

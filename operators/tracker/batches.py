@@ -1,6 +1,6 @@
-"""Batches of a tracker's training: files of pieces -> tensors on a device, new ones and old again.
+"""Batches of a tracker's training: files of pieces -> tensors on a device, new ones and reused.
 
-A processor makes samples more slowly than a GPU learns from them. `again` steps after each new
+Where processors make samples more slowly than a GPU learns from them, `reuses` steps after each new
 batch take one of the last ones, mirrored, with other colours and noise.
 """
 
@@ -20,12 +20,13 @@ from operators.tracker.pieces import Pieces, load
 from operators.tracker.training_settings import TrainSettings
 from operators.training.device import moved
 
-KEPT = 288_000  # samples to choose from: 18 GB of a GPU
-RELIT, TINTED, NOISE = 0.15, 0.05, 6.0  # deviations of logarithms; levels at most
-Given = dict[str, Tensor]
+REUSED_OF = 288_000  # the last new samples, of which one is reused: 19 GB where all are kept
+RELIT, TINTED = 0.15, 0.05  # standard deviations of the logarithms of light and of colour
+NOISE = 6.0  # largest standard deviation of noise, levels of 255
+Batch = dict[str, Tensor]
 
 
-class Batches(Dataset[Given]):
+class Batches(Dataset[Batch]):
     """Item n is the n-th new batch, which depends on the seed and n alone, not on the process.
 
     Each process reads the pieces itself, when it is asked for its first batch.
@@ -35,7 +36,11 @@ class Batches(Dataset[Given]):
         self._files, self._settings = files, settings
         self._pieces: Pieces | None = None
 
-    def __getitem__(self, number: int) -> Given:
+    def __getstate__(self) -> dict[str, object]:
+        """What goes to another process: not the pieces, about 1 GB, which it reads itself."""
+        return {**vars(self), "_pieces": None}
+
+    def __getitem__(self, number: int) -> Batch:
         if self._pieces is None:
             self._pieces = load(self._files)
         s = self._settings
@@ -45,13 +50,15 @@ class Batches(Dataset[Given]):
 
 def stream(
     source: Batches, steps: range, settings: TrainSettings, device: torch.device
-) -> Iterator[Given]:
+) -> Iterator[Batch]:
     """The batches of some steps on a device, made by processes beside this one where it is a GPU.
 
-    A step's batch is the same after an interruption: one that is to be used again and is not kept
-    any more is made anew.
+    A step's batch is the same after an interruption, and whatever there is room for: one that is to
+    be reused and was not kept is made once more.
     """
-    period, most = settings.again + 1, max(1, KEPT // settings.batch)
+    if not steps:
+        return
+    period, most = settings.reuses + 1, max(1, REUSED_OF // settings.batch)
     workers = 0 if device.type == "cpu" else settings.threads
     loader = DataLoader(
         source,
@@ -61,32 +68,60 @@ def stream(
         multiprocessing_context="spawn" if workers else None,
         worker_init_fn=_alone if workers else None,
     )
-    new, kept = iter(loader), dict[int, Given]()
+    new, kept = iter(loader), Kept(device, most)
     for step in steps:
         number, old = divmod(step, period)
         if not old:
             given = on(next(new), device)
-            if settings.again:
-                kept[number] = given
-                kept.pop(number - most, None)
+            if settings.reuses:
+                kept.put(number, given)
             yield given
             continue
         rng = np.random.default_rng([settings.seed, 42, step])
         number -= int(rng.integers(min(number + 1, most)))
-        given = kept.get(number) or on(source[number], device)
-        yield again(given, int(rng.integers(2**31)))
+        given = kept.batches.get(number) or on(source[number], device)
+        kept.put(number, given)
+        yield reused(given, int(rng.integers(2**31)))
+
+
+class Kept:
+    """The last `most` batches, as far as there is room for them on the device."""
+
+    def __init__(self, device: torch.device, most: int) -> None:
+        self.batches: dict[int, Batch] = {}
+        self._room_bytes, self._most, self._newest = room_bytes(device), most, 0
+
+    def put(self, number: int, given: Batch) -> None:
+        """Keep a batch, and drop what is too old to be reused."""
+        self._newest = max(self._newest, number)
+        for old in [n for n in self.batches if n <= self._newest - self._most]:
+            self._room_bytes += _size_bytes(self.batches.pop(old))
+        if number <= self._newest - self._most or number in self.batches:
+            return
+        if _size_bytes(given) <= self._room_bytes:
+            self.batches[number] = given
+            self._room_bytes -= _size_bytes(given)
+
+
+def room_bytes(device: torch.device) -> int:
+    """What batches may take: half of a GPU's memory; nothing elsewhere, where making costs less."""
+    return torch.cuda.mem_get_info(device)[1] // 2 if device.type == "cuda" else 0
+
+
+def _size_bytes(given: Batch) -> int:
+    return sum(values.nbytes for values in given.values())
 
 
 def _alone(_: int) -> None:
     cv2.setNumThreads(1)  # there is a process for each core already
 
 
-def on(given: Given, device: torch.device) -> Given:
+def on(given: Batch, device: torch.device) -> Batch:
     """The same on a device."""
     return {name: moved(values, device) for name, values in given.items()}
 
 
-def again(given: Given, seed: int) -> Given:
+def reused(given: Batch, seed: int) -> Batch:
     """A batch once more, mirrored or not, with other light, colours and noise."""
     device, count = given["search"].device, len(given["search"])
     source = torch.Generator(device).manual_seed(seed)
@@ -106,13 +141,12 @@ def again(given: Given, seed: int) -> Given:
         light = (found[name].float() / 255).pow(power) * gain * torch.exp(normal(1) * TINTED) * 255
         grain = torch.rand(count, 1, 1, 1, generator=source, device=device) * NOISE
         noise = torch.randn(light.shape, generator=source, device=device)
-        found[name] = (light + noise * grain).clamp(0, 255).to(torch.uint8)
+        found[name] = (light + noise * grain).round().clamp(0, 255).to(torch.uint8)
     return found
 
 
 def normalised(pictures: Tensor) -> Tensor:
     """(n, 3, h, w) of 8 bit as the network takes them, like `look.normalise`, on any device."""
-    mean, deviation = (
-        torch.from_numpy(values).to(pictures.device)[:, None, None] for values in (MEAN, DEVIATION)
-    )
+    mean = torch.from_numpy(MEAN).to(pictures.device)[:, None, None]
+    deviation = torch.from_numpy(DEVIATION).to(pictures.device)[:, None, None]
     return (pictures.float() - mean) / deviation

@@ -3,7 +3,7 @@
 Looks come from `look.py`, as they do live: the context, shrunk and enlarged again, and a sharp ROI
 that shows all, a part or nothing of it. Four kinds of samples: an object at two moments; something
 pasted on two grounds; the same with others beside it; and a search picture without the object.
-Where the second moment is made up, the object is turned, stretched and smeared in it.
+Where the second moment is made up, the piece is turned and stretched, and three in ten are smeared.
 """
 
 from dataclasses import dataclass
@@ -120,7 +120,7 @@ def shifted(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def changed(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The object some moments later: turned, stretched, and smeared by its own motion."""
+    """The piece some moments later: turned and stretched, and sometimes smeared by motion."""
     middle, sides = centres(scene.box), scene.box[2:] - scene.box[:2]
     stretch = np.exp(rng.normal(0, STRETCH, 2))
     turn = np.deg2rad(rng.normal(0, TURN_DEG))
@@ -129,12 +129,13 @@ def changed(scene: Scene, rng: np.random.Generator) -> Scene:
     size = (PIECE_PX, PIECE_PX)
     picture = cv2.warpAffine(scene.picture, matrix, size, borderMode=cv2.BORDER_REFLECT_101)
     sides = sides * stretch
+    # of an ellipse in the box: a rectangle would get wider than what people fill
+    sides = np.hypot(sides * np.cos(turn), sides[::-1] * np.sin(turn))
     if rng.random() < SMEARED:
-        way = rng.uniform(0, SMEAR) * size_of(scene.box) * np.array(
-            [np.cos(angle := rng.uniform(0, 2 * np.pi)), np.sin(angle)]
-        )  # fmt: skip
+        angle = rng.uniform(0, 2 * np.pi)
+        way = np.array([np.cos(angle), np.sin(angle)]) * rng.uniform(0, SMEAR) * size_of(scene.box)
         picture = cv2.filter2D(picture, -1, line(way))
-        sides = sides + np.abs(way) / 2
+        sides = sides + np.abs(way) / 2  # to where half of the light is left
     box = from_centres(middle, sides.astype(np.float32))
     return Scene(picture=np.asarray(picture, np.uint8), box=box, scale=scene.scale)
 
@@ -143,7 +144,7 @@ def line(way: NDArray[np.float64]) -> NDArray[np.float32]:
     """A kernel (k, k) of sum 1 that smears a picture along `way` (x, y), in pixels.
 
     >>> line(np.array([2.0, 0.0])).round(2).tolist()[1]
-    [0.33, 0.33, 0.33]
+    [0.22, 0.56, 0.22]
     """
     reach = max(1, int(np.ceil(np.abs(way).max() / 2)))
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
@@ -191,7 +192,7 @@ def drawn(pieces: Pieces, rng: np.random.Generator) -> tuple[Scene, Scene, bool]
     if draw < ABSENT:
         other = int(rng.integers(len(pieces.pictures)))
         same = other in (first, second)
-        return scene_of(pieces, first), scene_of(pieces, other), bool(same)
+        return scene_of(pieces, first), changed(scene_of(pieces, other), rng), bool(same)
     if draw < ABSENT + PASTED:
         before, now = pasted_pair(pieces, rng)
         return before, changed(now, rng), True

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from operators.tracker.batches import Batches, Given, normalised, stream
+from operators.tracker.batches import Batch, Batches, normalised, stream
 from operators.tracker.model import Deployed, TemplateNet
-from operators.tracker.pieces import NEVER_READ, TRAIN_SEEDS, prepare
+from operators.tracker.pieces import NEVER_READ, TRAIN_SEEDS, has_pairs, prepare
 from operators.tracker.template import INPUTS, OUTPUTS
 from operators.tracker.training_settings import TrainSettings
 from operators.training import checkpoint
@@ -24,13 +24,13 @@ from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
 from operators.training.progress import Phases, bar
 from operators.training.schedule import warmed_cosine
-from pipeline.errors import WeightsError
+from pipeline.errors import DriverError, WeightsError
 
 PHASES = Phases("cut pieces", "train")
 AVERAGED = 0.998  # of the weights that are shipped, per step
 
 
-def losses(net: TemplateNet, given: Given) -> dict[str, Tensor]:
+def losses(net: TemplateNet, given: Batch) -> dict[str, Tensor]:
     """Return the parts of the loss; training minimises their sum."""
     maps, there = net(normalised(given["template"]), given["shape"], normalised(given["search"]))
     logits, heat = maps[:, 0], given["heat"]
@@ -93,6 +93,8 @@ def train(settings: TrainSettings) -> Run:
         settings.data, settings.scenes, settings.moments, settings.stills, PHASES["cut pieces"],
         settings.threads,
     )  # fmt: skip
+    if not any(has_pairs(file) for file in files):
+        raise DriverError(f"{settings.data}: expected objects to train with, got none")
     run.net.train()
     began = time.monotonic() - run.elapsed_s
     log = settings.out / "log.csv"
@@ -116,7 +118,7 @@ def train(settings: TrainSettings) -> Run:
     return run
 
 
-def advance(run: Run, given: Given) -> dict[str, Tensor]:
+def advance(run: Run, given: Batch) -> dict[str, Tensor]:
     """One step of the optimiser: the parts of the loss."""
     s = run.settings
     for group in run.optimiser.param_groups:

@@ -17,7 +17,7 @@ class TrainSettings:
     moments: int = 6  # of a scene
     steps: int = 30_000
     batch: int = 32
-    again: int = 0  # steps on old batches after each new one: a GPU learns faster than samples come
+    reuses: int = 0  # steps on old batches after each new one, where a GPU waits for samples
     rate: float = 1e-3
     warmup: int = 200
     decay: float = 0.02
@@ -29,6 +29,6 @@ class TrainSettings:
     def __post_init__(self) -> None:
         at_least(2, self, "batch")  # a batch norm needs two
         at_least(1, self, "scenes", "moments", "steps", "threads")
-        at_least(0, self, "again", "warmup", "decay", "seed")
+        at_least(0, self, "reuses", "warmup", "decay", "seed")
         above_zero(self, "rate", "minutes")
         known_device(self.device)

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from operators.saliency import crops
 from operators.saliency.augment import cut
 from operators.saliency.crops import (
     crop,
@@ -143,25 +144,63 @@ def dressed(shirts: list[tuple[int, int, int]]) -> Example:
     return replace(example, labels=labels)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_one_team_gets_a_new_kit_and_the_other_and_the_referee_keep_theirs(seed: int) -> None:
-    example = dressed([(200, 30, 40), (40, 40, 150)] * 4)
-
-    found = recoloured_team(example, np.random.default_rng(seed))
-
+def changed_shirts(example: Example, found: Example) -> set[int]:
+    """Rows of people all of whose shirt has changed; nobody's has in part."""
     changed = (found.picture != example.picture).any(2)
+    rows = set()
     for row, box in enumerate(example.boxes[:9].astype(int)):
         shirt = changed[box[1] + 5 : box[1] + 20, box[0] + 5 : box[2] - 5]
-        assert shirt.all() if row < 8 and row % 2 == 0 else not shirt.any()  # the brighter team
+        assert shirt.all() or not shirt.any()
+        rows |= {row} if shirt.any() else set()
+    return rows
 
 
-@pytest.mark.parametrize("shirts", [[(200, 30, 40)] * 8, [(200, 30, 40), (205, 35, 45)] * 4])
+def test_one_team_gets_a_new_kit_and_the_other_and_the_referee_keep_theirs() -> None:
+    example = dressed([(200, 30, 40), (40, 40, 150)] * 4)
+    found = [recoloured_team(example, np.random.default_rng(seed)) for seed in range(20)]
+
+    teams = [changed_shirts(example, item) for item in found]
+
+    assert {tuple(sorted(team)) for team in teams} == {(0, 2, 4, 6), (1, 3, 5, 7)}
+    left, top, right = example.boxes[0, :3].astype(int)
+    shirts = [item.picture[top + 5 : top + 20, left + 5 : right - 5] for item in found]
+    assert any(shirt.max() < 90 for shirt in shirts)  # in black
+    assert any(shirt.max() > 110 and shirt[..., 0].max() != 200 for shirt in shirts)
+
+
+@pytest.mark.parametrize(
+    "shirts",
+    [
+        [(200, 30, 40)] * 8,
+        [(200, 30, 40), (205, 35, 45)] * 4,
+        [(200, 30, 40)] * 3 + [(40, 40, 150)] * 2 + [(60, 130, 50)] * 3,  # of three only grass
+    ],
+)
 def test_without_two_teams_nobody_gets_a_new_kit(shirts: list[tuple[int, int, int]]) -> None:
     example = dressed(shirts)
 
     found = recoloured_team(example, np.random.default_rng(1))
 
     assert np.array_equal(found.picture, example.picture)
+
+
+def test_somebody_of_whom_only_grass_is_seen_is_in_no_team() -> None:
+    example = dressed([(200, 30, 40), (40, 40, 150)] * 3 + [(200, 30, 40), (60, 130, 50)])
+
+    found = [recoloured_team(example, np.random.default_rng(seed)) for seed in range(20)]
+
+    teams = {tuple(sorted(changed_shirts(example, item))) for item in found}
+    assert teams == {(0, 2, 4, 6), (1, 3, 5)}
+
+
+def test_a_still_is_shown_with_a_team_in_another_kit_in_three_of_ten(monkeypatch, bank: Bank):
+    used: list[bool] = []
+    monkeypatch.setattr(crops, "recoloured_team", lambda item, _: used.append(True) or item)
+
+    for seed in range(60):
+        crops.augmented(bank.still(0), bank, np.random.default_rng(seed))
+
+    assert 8 < len(used) < 30
 
 
 @given(SEEDS, st.sampled_from([(480, 270), (736, 414), (200, 113)]))

@@ -67,8 +67,9 @@ def test_threads_and_a_grey_level_of_noise_change_little(threads: int, noise: in
     assert np.mean(found) > LEAST_RECALL
 
 
-def test_in_eight_bits_it_finds_as_many_players(answers: list[list[Answer]]) -> None:
-    quantised = [recall(looked(seed, weights="eight_bits")) for seed in HELD_OUT]
+@pytest.mark.parametrize("weights", ["eight_bits", "larger"])
+def test_in_eight_bits_as_many_players_are_found(answers: list[list[Answer]], weights: str) -> None:
+    quantised = [recall(looked(seed, weights=weights)) for seed in HELD_OUT]
 
     assert np.mean(quantised) > np.mean([recall(each) for each in answers]) - 0.05
 

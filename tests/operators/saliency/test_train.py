@@ -13,7 +13,7 @@ import torch
 
 from operators.saliency import training_run as training
 from operators.saliency.data import Batch, Rendered, rendered_in
-from operators.saliency.detector import Detector
+from operators.saliency.detector import SHIPPED, Detector
 from operators.saliency.example import INPUT_PX, NAMES
 from operators.saliency.saliency import SaliencySettings
 from operators.saliency.train import TrainSettings, asked, main
@@ -159,8 +159,9 @@ def test_weights_of_any_training_are_exported_with_its_input(
 def test_a_training_of_larger_inputs_takes_its_steps(tmp_path: Path) -> None:
     data = (footage(tmp_path / "data", 90),)
     given = replace(
-        settings_in(tmp_path), data=data, scenes=0, batch=2, steps=2, width_px=512, also_px=480
-    )
+        settings_in(tmp_path), data=data, scenes=0, batch=2, steps=2, width_px=512, also_px=480,
+        init=SHIPPED, out=tmp_path / "run",
+    )  # fmt: skip
 
     assert train(given).step == 2
 
