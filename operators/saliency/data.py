@@ -18,6 +18,7 @@ from operators.saliency.pasting import Bank
 from operators.saliency.stills import Stills
 from operators.training.arrays import read
 from operators.training.device import moved
+from operators.training.loading import in_sentences
 from pipeline.errors import DriverError
 
 FILL = 114
@@ -208,4 +209,4 @@ def stream(
         prefetch_factor=6,
         multiprocessing_context="spawn",
     )
-    yield from loader
+    yield from in_sentences(loader)

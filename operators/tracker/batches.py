@@ -19,6 +19,7 @@ from operators.tracker.look import DEVIATION, MEAN
 from operators.tracker.pieces import Pieces, load
 from operators.tracker.training_settings import TrainSettings
 from operators.training.device import moved
+from operators.training.loading import in_sentences
 
 REUSED_OF = 288_000  # the last new samples, of which one is reused: 19 GB where all are kept
 RELIT, TINTED = 0.15, 0.05  # standard deviations of the logarithms of light and of colour
@@ -68,7 +69,7 @@ def stream(
         multiprocessing_context="spawn" if workers else None,
         worker_init_fn=_alone if workers else None,
     )
-    new, kept = iter(loader), Kept(device, most)
+    new, kept = in_sentences(loader), Kept(device, most)
     for step in steps:
         number, old = divmod(step, period)
         if not old:

@@ -18,6 +18,7 @@ from operators.saliency.text.quads import areas, turned
 from operators.saliency.text.streets import Picture
 from operators.training.arrays import read
 from operators.training.device import moved
+from operators.training.loading import in_sentences
 from operators.training.photometric import degrade, recolour
 from pipeline.errors import DriverError
 
@@ -189,7 +190,7 @@ def stream(source: Words, size: int, steps: range, *, workers: int = 1) -> Itera
         prefetch_factor=6,
         multiprocessing_context="spawn",
     )
-    yield from loader
+    yield from in_sentences(loader)
 
 
 def _pictures(path: Path) -> NDArray[np.uint8]:

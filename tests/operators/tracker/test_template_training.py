@@ -269,6 +269,15 @@ def test_an_interrupted_stream_goes_on_with_the_same_batches_and_makes_few_twice
     assert list(stream(source, range(24, 24), settings, cpu)) == []
 
 
+def test_a_file_that_is_damaged_is_an_error_of_one_sentence_also_beside(tmp_path: Path):
+    file = tmp_path / "a.npz"
+    file.write_bytes(b"")
+    settings = settings_in(tmp_path, threads=1)
+
+    with pytest.raises(DriverError, match=r"^\S+a\.npz: expected .*$"):
+        next(stream(Batches([file], settings), range(1), settings, torch.device("meta")))
+
+
 def test_no_more_than_the_last_batches_are_kept(monkeypatch):
     monkeypatch.setattr(batches, "room_bytes", lambda _: 10**9)
     kept = batches.Kept(torch.device("cpu"), 3)

@@ -1,0 +1,27 @@
+"""Errors of the processes that prepare a training's batches, as sentences."""
+
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+from pipeline.errors import FoveaError
+
+T = TypeVar("T")
+
+
+def in_sentences(batches: Iterable[T]) -> Iterator[T]:
+    """The batches of a loader; what a process of it raises of fovea's errors has its sentence only.
+
+    Torch raises the error again with the traceback of that process before the sentence.
+
+    >>> def broken():
+    ...     yield 1
+    ...     raise FoveaError("Caught FoveaError in process 0.\\npipeline.errors.FoveaError: a: b")
+    >>> list(in_sentences(broken()))
+    Traceback (most recent call last):
+    pipeline.errors.FoveaError: a: b
+    """
+    try:
+        yield from batches
+    except FoveaError as error:
+        name = f"{type(error).__module__}.{type(error).__qualname__}: "
+        raise type(error)(str(error).rstrip().rpartition(name)[2]) from None
