@@ -97,8 +97,8 @@ check: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest --doctest-modules --doctest-ignore-import-errors pipeline drivers operators bench
 
-# Detector, encoder and policies from nothing, one after the other; goes on where it was interrupted. With g++ the
-# detector's training is compiled first.
+# Detector, encoder and policies from nothing, one after the other; goes on where it was interrupted.
+# With g++ the detector's training is compiled first.
 train: $(VENV)/.installed-train
 	$(BIN)/python -m operators.saliency.train --data $(RUNS)/detector/data --out $(RUNS)/detector \
 		--device $(DEVICE) $(if $(shell command -v g++),--compiled) $(DETECTOR)

@@ -243,10 +243,8 @@ def batch(pieces: Pieces, count: int, rng: np.random.Generator) -> Arrays:
     }
     for k in range(count):
         template, shape, search, box, there = sample(pieces, rng)
-        out["template"][k], out["search"][k] = (
-            template.transpose(2, 0, 1),
-            search.transpose(2, 0, 1),
-        )
+        out["template"][k] = template.transpose(2, 0, 1)
+        out["search"][k] = search.transpose(2, 0, 1)
         out["shape"][k] = shape
         if there:
             out["there"][k] = 1

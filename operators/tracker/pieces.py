@@ -208,11 +208,6 @@ def write_pieces(path: Path, found: Iterator[tuple[Item, ...]], made: Identity) 
     write(path, arrays, made)
 
 
-def has_pairs(file: Path) -> bool:
-    """Whether a file of pieces holds an object to train with."""
-    return bool(len(read(file)["pairs"]))
-
-
 def load(files: list[Path]) -> Pieces:
     """All pieces of some files; raises `DriverError` where there are none."""
     parts = [read(file) for file in files]

@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from operators.tracker.batches import Batch, Batches, normalised, stream
 from operators.tracker.model import Deployed, TemplateNet
-from operators.tracker.pieces import NEVER_READ, TRAIN_SEEDS, has_pairs, prepare
+from operators.tracker.pieces import NEVER_READ, TRAIN_SEEDS, prepare
 from operators.tracker.template import INPUTS, OUTPUTS
 from operators.tracker.training_settings import TrainSettings
 from operators.training import checkpoint
@@ -24,7 +24,7 @@ from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
 from operators.training.progress import Phases, bar
 from operators.training.schedule import warmed_cosine
-from pipeline.errors import DriverError, WeightsError
+from pipeline.errors import WeightsError
 
 PHASES = Phases("cut pieces", "train")
 AVERAGED = 0.998  # of the weights that are shipped, per step
@@ -93,8 +93,6 @@ def train(settings: TrainSettings) -> Run:
         settings.data, settings.scenes, settings.moments, settings.stills, PHASES["cut pieces"],
         settings.threads,
     )  # fmt: skip
-    if not any(has_pairs(file) for file in files):
-        raise DriverError(f"{settings.data}: expected objects to train with, got none")
     run.net.train()
     began = time.monotonic() - run.elapsed_s
     log = settings.out / "log.csv"

@@ -215,8 +215,7 @@ def test_pictures_are_normalised_as_they_are_live():
 @pytest.mark.parametrize("reuses", [0, 1, 2])
 def test_a_resumed_training_ends_with_the_same_network(tmp_path: Path, monkeypatch, reuses: int):
     pieces = pieces_of(6, seed=2)
-    monkeypatch.setattr(training, "prepare", lambda *_: [tmp_path])
-    monkeypatch.setattr(training, "has_pairs", lambda _: True)
+    monkeypatch.setattr(training, "prepare", lambda *_: [])
     monkeypatch.setattr(batches, "load", lambda _: pieces)
     whole = training.train(settings_in(tmp_path / "whole", steps=5, reuses=reuses))
     half = training.Run(settings_in(tmp_path / "parts", steps=5, reuses=reuses))
