@@ -18,6 +18,7 @@ from typing import Any
 import click
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
@@ -68,14 +69,14 @@ class Watch:
     def judge(self) -> None:
         """Compare what was heard with the truth, when a run has ended."""
         for seq, truth in self._truths.items():
-            box = self._own(truth)
-            if box is None:
+            boxes = self._meant(truth)
+            if not len(boxes):
                 continue
             window = np.array(self._windows.get(seq, (0, 0, 0, 0)), np.float32)
             found = self._answers.get(seq)
-            self.values[FIGURES[0]].append(float(covered(box, window)[0]))
+            self.values[FIGURES[0]].append(float(covered(boxes, window).max()))
             self.values[FIGURES[1]].append(
-                0.0 if found is None else float(iou(found[None], box)[0, 0])
+                0.0 if found is None else float(iou(found[None], boxes).max())
             )
 
     def join(self, other: "Watch") -> None:
@@ -84,15 +85,16 @@ class Watch:
         for figure in FIGURES:
             self.values[figure] += other.values[figure]
 
-    def _own(self, truth: Truth) -> Any:
-        for row, label in enumerate(truth.labels):
-            if (
-                CLASS_OF_ROLE.get(label, label) == self.kind
-                and truth.visibility[row] >= LEAST_VISIBLE
-                and self.object_id in (-1, int(truth.ids[row]))
-            ):
-                return truth.boxes[row][None]
-        return None
+    def _meant(self, truth: Truth) -> NDArray[np.float32]:
+        """Return the visible object, or all of the class, of which the best shown counts."""
+        rows = [
+            row
+            for row, label in enumerate(truth.labels)
+            if CLASS_OF_ROLE.get(label, label) == self.kind
+            and truth.visibility[row] >= LEAST_VISIBLE
+            and self.object_id in (-1, int(truth.ids[row]))
+        ]
+        return truth.boxes[rows]
 
 
 def first_truth(plan: Plan) -> Truth:

@@ -65,6 +65,26 @@ def test_frames_without_an_answer_count_as_missed() -> None:
     assert watch.values == {FIGURES[0]: [0, 0.5], FIGURES[1]: [0, 1]}
 
 
+def test_of_a_class_any_object_may_be_followed() -> None:
+    watch = Watch(kind="referee")
+    truth = Truth(
+        header=header(1), boxes=np.array([[0, 0, 9, 9], [50, 0, 60, 10]], np.float32),
+        ids=np.array([1, 2], np.int32), labels=("referee", "referee"),
+        visibility=np.ones(2, np.float32),
+    )  # fmt: skip
+    answer = Percept(
+        header=header(1), boxes=truth.boxes[1:], ids=np.zeros(1, np.int32),
+        scores=np.ones(1, np.float32),
+    )  # fmt: skip
+    roi = Frame(header=header(1), pixels=np.zeros((1, 1, 3), np.uint8), window=(40, 0, 90, 40))
+    for name, message in (("capture.truth", truth), ("capture.roi", roi), ("tracker", answer)):
+        watch.hear(name, message)
+
+    watch.judge()
+
+    assert watch.values == {FIGURES[0]: [1], FIGURES[1]: [1]}
+
+
 def test_what_is_lost_without_a_rule_is_told_beside_its_figure() -> None:
     usual = {"1": watched(box=(10, 10, 20, 20), window=(0, 0, 40, 40))}
     worse = {"1": watched(box=(10, 10, 20, 15), window=(0, 0, 40, 40))}
