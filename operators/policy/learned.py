@@ -118,6 +118,10 @@ class LearnedPolicy(PolicyInputs[LearnedPolicySettings]):
         """
         if settings.target != self.settings.target:
             check_label(settings.target, self._names)
+        self.ask(settings)
+
+    def ask(self, settings: LearnedPolicySettings) -> None:
+        """Change the target; its class was checked."""
         self.settings, before = settings, self._state
         self._state = before.asked_for(settings.spec)
         if self._state is not before:

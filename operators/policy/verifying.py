@@ -8,16 +8,22 @@ enough is looked at first where that is likelier to show the target: what the co
 ball ever more surely is not passed over for a boot that was verified by mistake. A target that was
 followed for a while and is lost is waited for and looked for among people, not among faint
 candidates again.
+
+That is for a target asked for by its class. One that was shown, by id or by box, needs no search:
+the network follows it, as in `LearnedPolicy`.
 """
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.candidates import faint_odds, probability
+from operators.policy.decision import PolicyState
 from operators.policy.gaze_plan import GazePlan, follow, future, of_class, row_of, stay
+from operators.policy.learned import LearnedPolicy, LearnedPolicySettings
 from operators.policy.pursuit import (
     MARGIN,
     SURE,
@@ -26,10 +32,9 @@ from operators.policy.pursuit import (
     PursuitState,
     carrier_of,
     noted,
-    pursue,
     unlocked,
 )
-from pipeline import SettingsError, Tracks
+from pipeline import Header, RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.boxes import centres
 
 EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge nothing is judged
@@ -39,11 +44,16 @@ GIVEN_UP = 16  # candidates that were never judged are passed over, so many at o
 
 
 @dataclass(frozen=True, kw_only=True)
-class VerifyingPolicySettings(PursuitPolicySettings):
-    """What a graph may set. A target asked for by id or box is followed as pursuit does.
+class VerifyingPolicySettings(PursuitPolicySettings, LearnedPolicySettings):
+    """What a graph may set. The settings of `LearnedPolicy` count for a target that was shown.
 
-    One of a class needs `looks` in place of `confirm`.
+    Those of `PursuitPolicy` count for one of a class, which needs `looks` in place of `confirm`.
     """
+
+    FORMER: ClassVar[Mapping[str, str]] = {
+        **LearnedPolicySettings.FORMER,
+        **PursuitPolicySettings.FORMER,
+    }
 
     least_probability: float = 0.08  # of a verified candidate, by context and ROI
     looks: int = 7  # frames in which the ROI shows a candidate before it is believed
@@ -78,26 +88,78 @@ class VerifyingState(PursuitState):
     """State between frames; immutable."""
 
     search: SearchState = field(default_factory=SearchState)
+    shown: PolicyState = field(default_factory=PolicyState)  # of the network
 
 
 class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
-    """Always proposes windows, of candidates and of places as well as of the target."""
+    """Always proposes windows, of candidates and of places as well as of the target.
+
+    Of a target that was shown it proposes what `LearnedPolicy` does.
+    """
 
     live: ClassVar[tuple[str, ...]] = (*Pursuit.live, "looks", "sought")
     begins = VerifyingState
     _state: VerifyingState
 
+    @classmethod
+    def advise(
+        cls, settings: VerifyingPolicySettings, upstream: Mapping[str, Any]
+    ) -> Iterable[str]:
+        """As `LearnedPolicy` does."""
+        return LearnedPolicy.advise(settings, upstream)
+
+    def open(self) -> None:
+        """Load the network; raises `WeightsError` when it does not fit the settings."""
+        super().open()
+        self._network = LearnedPolicy(self.settings)
+        self._network.open()
+
+    def on_settings(self, settings: VerifyingPolicySettings) -> None:
+        super().on_settings(settings)
+        self._network.ask(settings)
+
+    def on_stream(self, header: Header) -> None:
+        """Forget everything: ids of another stream are different objects."""
+        super().on_stream(header)
+        self._network.on_stream(header)
+
+    def summary(self) -> Mapping[str, Any]:
+        """What the network runs on."""
+        return self._network.summary()
+
+    def headline(self) -> str:
+        """What the network runs on, where it is not the CPU."""
+        return self._network.headline()
+
+    def runs_on(self) -> str:
+        """The provider of the network."""
+        return self._network.runs_on()
+
     def state(self) -> VerifyingState:
         """Return the state."""
-        return self._state
+        return replace(self._state, shown=self._network.state())
+
+    def restore(self, state: PursuitState) -> None:
+        """Take over another instance's state, reset if its target was another one."""
+        super().restore(state)
+        if isinstance(state, VerifyingState):
+            self._network.restore(state.shown)
+
+    def on_features(self, features: RoiFeatures) -> None:
+        """Judge what the ROI showed, and keep it for the network."""
+        super().on_features(features)
+        self._network.on_features(features)
+
+    def on_tracks(self, tracks: Tracks) -> Scanpath:
+        """Plan the frames after this one."""
+        if self._state.spec.one:
+            self._names = tracks.names
+            return self._network.on_tracks(tracks)
+        return super().on_tracks(tracks)
 
     def plan(self, tracks: Tracks) -> GazePlan:
         """Return where to look in the frames after this one, and keep the new state."""
-        if self._state.spec.one:
-            rules = replace(self.settings, least_probability=0)  # it was shown, not found
-            plan, self._state = pursue(tracks, self._state, rules)
-        else:
-            plan, self._state = seek(tracks, self._state, self.settings)
+        plan, self._state = seek(tracks, self._state, self.settings)
         return plan
 
 
