@@ -45,7 +45,7 @@ from pipeline.messages import RoiFeatures, Tracks, altered
 from pipeline.whole_file import write_whole
 
 FIRST_SEED = 60_000  # clips on which rules and utilities may be chosen
-GRAPH = Path(__file__).parents[1] / "graphs" / "tracking.yaml"
+GRAPH = Path(__file__).parents[1] / "graphs" / "learned.yaml"
 BUDGET = Fraction(1, 8)
 RECENT, LONG = 5, 25  # frames since the last look
 KINDS = (

@@ -3,7 +3,7 @@
 `python -m bench.rois [--clips 8] [--frames 120] [--json FILE]` runs `graphs/several_rois.yaml` in
 line on drawn clips that nothing was trained on. All arrangements read the same context and may read
 as many ROI pixels; detector, policy and its target are the same. `around the choice` is one window
-as `graphs/tracking.yaml` has it; the others choose windows by the same expected utility. Figures
+as in most graphs; the others choose windows by the same expected utility. Figures
 are mean shares of the true boxes of what is visible, by class, and the IoU of the graph's tracker,
 which follows the ball; differences are paired by clip, against one window by the same utility.
 """

@@ -2,7 +2,7 @@
 
 FOOTBALL is a folder of labelled stills. In each, the context's detector proposes balls down to a
 score of .1; full resolution around each is read by encoder and detector, as in
-`graphs/broadcast.yaml`. Logistic regressions over the development match give the gains of
+`graphs/tracking.yaml`. Logistic regressions over the development match give the gains of
 `operators.verify` and of the policy (operators/policy/candidates.py); for the matches left out the
 table tells how often a ball is rated above another candidate, by each score alone and together.
 """
@@ -39,7 +39,7 @@ from pipeline.settings import build
 from pipeline.testing import header
 from pipeline.whole_file import write_whole
 
-GRAPH = ROOT / "graphs" / "broadcast.yaml"
+GRAPH = ROOT / "graphs" / "tracking.yaml"
 USUAL = {"threads": 1, "max_objects": 400}
 FAINTEST = 0.02  # score in the ROI of what is still counted
 SCALE, WINDOW_PX = 4, (480, 270)
@@ -54,7 +54,7 @@ Array = NDArray[np.float64]
 
 
 class Looks:
-    """The networks of `graphs/broadcast.yaml` with its settings, on one thread."""
+    """The networks of `graphs/tracking.yaml` with its settings, on one thread."""
 
     def __init__(self) -> None:
         nodes = {node.name: dict(node.settings) for node in load(GRAPH).nodes}

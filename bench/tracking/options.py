@@ -17,7 +17,7 @@ ALL = (
     *("full", "oracle", "foveated", PURSUIT, CONTEXT, "centred", "round_robin"),
     *("spatial", "temporal", "exposure"),
 )
-GRAPH = Path(__file__).parents[2] / "graphs" / "tracking.yaml"
+GRAPH = Path(__file__).parents[2] / "graphs" / "learned.yaml"
 WHOLE = (1, 0)  # frames: from the first to the end
 LEAST = {
     **dict.fromkeys(("clips", "players", "every", "longest", "replan", "jobs"), 1),

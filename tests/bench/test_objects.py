@@ -14,7 +14,7 @@ from pipeline.boxes import covered
 from pipeline.graph.loader import load
 from pipeline.testing import drive, header
 
-GRAPH = Path(__file__).parents[2] / "graphs" / "tracking.yaml"
+GRAPH = Path(__file__).parents[2] / "graphs" / "learned.yaml"
 WINDOW = (480, 270, 960, 540)
 
 

@@ -29,7 +29,7 @@ from pipeline.run.inline import InlineRunner
 from tests.drivers.sequences import write_sequence
 
 ROOT = Path(__file__).resolve().parents[2]
-GRAPH = ROOT / "graphs" / "tracking.yaml"
+GRAPH = ROOT / "graphs" / "learned.yaml"
 HD = (1920, 1080)
 STRATEGIES = ("spatial", "temporal", "exposure", "foveated", "centred", "round_robin", "oracle")
 

@@ -22,7 +22,7 @@ from pipeline.errors import SettingsError
 from pipeline.messages import Message, Scanpath
 from tests.bench.test_tracking_options import read as asked
 
-GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
+GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "learned.yaml"
 FRAMES = 24
 START = 2
 CUED = Rules(cue=True, to_end=True)

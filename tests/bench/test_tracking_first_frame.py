@@ -17,7 +17,7 @@ from bench.tracking.stages import Stages
 from bench.tracking.targets import targets
 from pipeline.messages import Header, Message
 
-GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
+GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "learned.yaml"
 STRATEGIES = ("spatial", "temporal", "exposure", "foveated", "centred", "round_robin", "oracle")
 
 

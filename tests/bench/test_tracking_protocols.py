@@ -27,7 +27,7 @@ from pipeline.boxes import iou
 from pipeline.errors import GraphError
 from pipeline.messages import Header, Message, Scanpath
 
-GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
+GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "learned.yaml"
 FRAMES = 14
 STRATEGIES = (
     *("full", "spatial", "temporal", "exposure", "context"),

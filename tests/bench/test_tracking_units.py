@@ -17,7 +17,7 @@ from bench.tracking.units import cut, measured
 from pipeline.errors import DriverError
 from tests.drivers.sequences import write_sequence
 
-GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
+GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "learned.yaml"
 
 
 def keyed(graph: Path = GRAPH, strategy: str = "foveated", *changes: str) -> str:

@@ -19,7 +19,7 @@ from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.run.inline import InlineRunner
 
-GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
+GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "learned.yaml"
 FRAMES = 60
 CHANGED = 30  # the frame after which the referee is the target
 SEEDS = (401, 404, 405)

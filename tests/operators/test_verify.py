@@ -130,7 +130,7 @@ def test_wrong_settings_are_told_in_a_sentence(values: dict[str, Any], sentence:
 
 
 def test_a_target_that_the_detector_does_not_know_is_refused() -> None:
-    result = CliRunner().invoke(commands, ["check", "broadcast", "--set", "verify.target=bal"])
+    result = CliRunner().invoke(commands, ["check", "tracking", "--set", "verify.target=bal"])
 
     assert isinstance(result.exception, SettingsError)
     assert "verify.target: expected one of player, referee, ball, got bal" in str(result.exception)

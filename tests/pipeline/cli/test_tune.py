@@ -21,7 +21,7 @@ def test_every_network_is_measured_and_the_rest_counted() -> None:
 
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    assert set(found["nodes"]) == {"saliency", "roi_features", "policy", "tracker"}
+    assert set(found["nodes"]) == {"saliency", "closer", "roi_features", "policy", "tracker"}
     assert all(node["in_time"] for node in found["nodes"].values())
     assert found["nodes"]["saliency"]["now"]["cpu_ms"] > 0.5
     assert found["cores_needed"] > 0

@@ -13,11 +13,11 @@ from pipeline.graph.overlay import Overlay
 from pipeline.messages import Frame, Message, RoiFeatures, Scanpath, Truth
 from pipeline.run.inline import InlineRunner
 
-GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "broadcast.yaml"
+GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
 
 
 def test_the_graph_is_checked_without_a_warning() -> None:
-    result = CliRunner().invoke(commands, ["check", "broadcast"])
+    result = CliRunner().invoke(commands, ["check", "tracking"])
 
     assert result.exit_code == 0, result.output
     assert "warning" not in result.output
