@@ -1,4 +1,4 @@
-"""The shipped tracking graph keeps the ball in view, in line and as processes."""
+"""The tracking graph verifies the ball and keeps it in view, in line and as processes."""
 
 import json
 import shutil
@@ -9,11 +9,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from pipeline.boxes import covered
+from pipeline.cli import commands
 from pipeline.cli.running import status_line
 from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.messages import Frame, Message, RoiFeatures, Scanpath, Truth
 from pipeline.protocol.orders import Result, SwapOrder
+from pipeline.run.inline import InlineRunner
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import handled, reasons, wait_for
 from tests.shared_data import Footage
@@ -41,6 +48,39 @@ def test_in_line_and_as_processes_the_sensor_gets_the_same_commands(tmp_path: Pa
     assert inline["roi_coverage"] == processes["roi_coverage"]
     for edge in processes["edges"]:
         assert edge["offered"] == edge["delivered"], edge
+
+
+def test_the_graph_is_checked_without_a_warning() -> None:
+    result = CliRunner().invoke(commands, ["check", "tracking"])
+
+    assert result.exit_code == 0, result.output
+    assert "warning" not in result.output
+
+
+def test_a_ball_is_looked_at_until_it_is_verified_and_then_followed() -> None:
+    windows: dict[int, Any] = {}
+    balls: dict[int, Any] = {}
+    last: dict[str, Message] = {}
+
+    def watch(output: str, message: Message) -> None:
+        if isinstance(message, Frame):  # its pixels are lent
+            if output == "capture.roi":
+                windows[message.header.seq] = message.window
+            return
+        last[output.partition(".")[0]] = message
+        if isinstance(message, Truth):
+            balls[message.header.seq] = message.boxes[message.labels.index("ball")][None]
+
+    plan_of_run = load(GRAPH, Overlay(changes=("capture.seed=50001",), clock="lockstep"))
+    with InlineRunner(plan_of_run, watch=watch) as run:
+        assert len(list(run.run(45))) == 45
+
+    shown = [covered(balls[k], np.array(windows[k], np.float32))[0] for k in range(20, 45)]
+    assert np.mean(shown) > 0.5
+    plan, verified = last["policy"], last["verify"]
+    assert isinstance(plan, Scanpath)
+    assert isinstance(verified, RoiFeatures)
+    assert plan.choice[0] in verified.ids
 
 
 @pytest.fixture(scope="module")
