@@ -112,7 +112,7 @@ def by_objects(changes: Sequence[str], frames: int = FRAMES, *, policy: str = ""
 def networks_of(stages: Stages) -> list[Path]:
     """Return the files of encoder and policy; only the encoder's if the policy has no network."""
     encoder, policy = stages.settings("roi_features"), stages.settings("policy")
-    files = [weights_file(encoder.weights, SHIPPED_ENCODER)]
+    files = [weights_file(encoder.weights, {"": SHIPPED_ENCODER})]
     if isinstance(policy, LearnedPolicySettings):
         files.append(Path(policy.weights) if policy.weights else SHIPPED_POLICY)
     return files

@@ -10,7 +10,7 @@ import http.client
 import re
 import tomllib
 import urllib.request
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -91,18 +91,22 @@ def require(name: str, folder: Path | None = None, *, manifest: Path = MANIFEST)
     return path
 
 
-def weights_file(weights: str, shipped: Path) -> Path:
-    """Return the file of a setting: a path (`….onnx`), a name in weights.toml, or else `shipped`.
+def weights_file(weights: str, shipped: Mapping[str, Path]) -> Path:
+    """Return the file of a setting: a shipped one by name, a path (`….onnx`) or from weights.toml.
 
-    Raises `WeightsError` for a name without an intact copy, and for a file of another kind.
+    The shipped one of the name "" is the usual one. Raises `WeightsError` for an unknown name, for
+    one without an intact copy, and for a file of another kind.
     """
-    if not weights:
-        return shipped
+    if weights in shipped:
+        return shipped[weights]
     if weights.endswith(".onnx"):
         return Path(weights)
     if "/" in weights or Path(weights).suffix:
         what = "an ONNX file, ending in .onnx, or a name that `fovea weights list` shows"
         raise WeightsError(f"{weights}: expected {what}")
+    known = entries()
+    if weights not in known:
+        raise WeightsError(f"{weights}: no such weights; {_hint(weights, [*shipped, *known])}")
     return require(weights)
 
 
@@ -158,10 +162,14 @@ def _entry(name: str, table: Any) -> Entry:
 def _named(name: str, manifest: Path) -> Entry:
     known = entries(manifest)
     if name not in known:
-        close = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(known)}"
-        raise WeightsError(f"{name}: no such weights in {manifest.name}; {hint}")
+        raise WeightsError(f"{name}: no such weights in {manifest.name}; {_hint(name, known)}")
     return known[name]
+
+
+def _hint(name: str, known: Iterable[str]) -> str:
+    names = [other for other in known if other]
+    close = difflib.get_close_matches(name, names, n=1)
+    return f"did you mean {close[0]}?" if close else f"known: {', '.join(names)}"
 
 
 def _pull_one(

@@ -12,6 +12,7 @@ from pipeline import Tracks
 from pipeline.errors import MessageError, WeightsError
 from pipeline.inference import Network
 from pipeline.providers import AUTO
+from pipeline.weights import weights_file
 
 SHIPPED = Path(__file__).with_name("policy.onnx")
 LONG_HORIZON = Path(__file__).with_name("policy_long_horizon.onnx")  # To 10, Tp 200
@@ -75,7 +76,7 @@ class PolicyNetwork:
 
 def file_of(weights: str) -> Path:
     """Return the file that a setting `weights` means: a shipped one by name, else a path."""
-    return NAMED.get(weights) or Path(weights)
+    return weights_file(weights, NAMED)
 
 
 def _last(sides: Sequence[object]) -> int:

@@ -111,50 +111,50 @@ class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
     def open(self) -> None:
         """Load the network; raises `WeightsError` when it does not fit the settings."""
         super().open()
-        self._network = LearnedPolicy(self.settings)
-        self._network.open()
+        self._learned = LearnedPolicy(self.settings)
+        self._learned.open()
 
     def on_settings(self, settings: VerifyingPolicySettings) -> None:
         super().on_settings(settings)
-        self._network.ask(settings)
+        self._learned.ask(settings)
 
     def on_stream(self, header: Header) -> None:
         """Forget everything: ids of another stream are different objects."""
         super().on_stream(header)
-        self._network.on_stream(header)
+        self._learned.on_stream(header)
 
     def summary(self) -> Mapping[str, Any]:
         """What the network runs on."""
-        return self._network.summary()
+        return self._learned.summary()
 
     def headline(self) -> str:
         """What the network runs on, where it is not the CPU."""
-        return self._network.headline()
+        return self._learned.headline()
 
     def runs_on(self) -> str:
         """The provider of the network."""
-        return self._network.runs_on()
+        return self._learned.runs_on()
 
     def state(self) -> VerifyingState:
         """Return the state."""
-        return replace(self._state, shown=self._network.state())
+        return replace(self._state, shown=self._learned.state())
 
     def restore(self, state: PursuitState) -> None:
         """Take over another instance's state, reset if its target was another one."""
         super().restore(state)
         if isinstance(state, VerifyingState):
-            self._network.restore(state.shown)
+            self._learned.restore(state.shown)
 
     def on_features(self, features: RoiFeatures) -> None:
         """Judge what the ROI showed, and keep it for the network."""
         super().on_features(features)
-        self._network.on_features(features)
+        self._learned.on_features(features)
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
         if self._state.spec.one:
             self._names = tracks.names
-            return self._network.on_tracks(tracks)
+            return self._learned.on_tracks(tracks)
         return super().on_tracks(tracks)
 
     def plan(self, tracks: Tracks) -> GazePlan:

@@ -166,7 +166,7 @@ class Encoder:
 
     def __init__(self, settings: RoiEncoderSettings) -> None:
         self._settings = settings
-        path = weights_file(settings.weights, SHIPPED)
+        path = weights_file(settings.weights, {"": SHIPPED})
         self.network = Network(path, **settings.compute)
         if len(self.network.inputs) != 1:
             raise WeightsError(f"{path}: expected one input, got {', '.join(self.network.inputs)}")

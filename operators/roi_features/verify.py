@@ -244,7 +244,7 @@ def main(words: Sequence[str] | None = None) -> None:
     if given.calibrate:
         theta = calibration(found)
         rows |= {f"{k}, calibrated": v for k, v in table(found, encoder.names, theta).items()}
-        shipped = weights_file(given.weights, Path(__file__).with_name("roi_encoder.onnx"))
+        shipped = weights_file(given.weights, {"": Path(__file__).with_name("roi_encoder.onnx")})
         write_calibrated(shipped, given.calibrate, theta, "detections in stills: development split")
         print(f"gain {np.exp(theta[0]):.3f}, bias {np.round(theta[1:], 3).tolist()}")
     for name, row in rows.items():

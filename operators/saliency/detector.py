@@ -58,7 +58,7 @@ class Detector:
 
     def __init__(self, settings: "SaliencySettings") -> None:
         self.settings = settings
-        self.path = NAMED.get(settings.weights) or weights_file(settings.weights, SHIPPED)
+        self.path = weights_file(settings.weights, NAMED)
         self.network = Network(self.path, **settings.compute)
         self.known = described(self.path, self.network.metadata)
         self.input, self.size_px = _input_of(self.network, settings, self.known)

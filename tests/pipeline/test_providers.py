@@ -143,4 +143,6 @@ def test_the_report_has_the_provider_of_every_node_with_a_network():
 
     found = {stage["node"]: stage["provider"] for stage in stages if "provider" in stage}
     expected = Network(SHIPPED).provider
-    assert found == dict.fromkeys(("saliency", "closer", "roi_features", "policy", "tracker"), expected)
+    assert found == dict.fromkeys(
+        ("saliency", "closer", "roi_features", "policy", "tracker"), expected
+    )

@@ -255,4 +255,22 @@ def test_a_file_that_is_no_onnx_file_is_not_taken_for_a_name(weights: str, tmp_p
     with pytest.raises(
         WeightsError, match=f"{weights}: expected an ONNX file, ending in .onnx, or"
     ):
-        weights_file(weights, tmp_path / "shipped.onnx")
+        weights_file(weights, {"": tmp_path / "shipped.onnx"})
+
+
+@pytest.mark.parametrize(
+    ("asked", "hint"),
+    [
+        ("eightbits", "did you mean eight_bits?"),
+        ("vitrack", "did you mean vittrack?"),
+        ("?", "known: eight_bits, larger, yolox_nano"),
+    ],
+)
+def test_an_unknown_name_is_told_the_shipped_ones_and_those_to_pull(asked: str, hint: str) -> None:
+    shipped = {name: Path(f"{name}.onnx") for name in ("", "eight_bits", "larger")}
+
+    with pytest.raises(WeightsError) as caught:
+        weights_file(asked, shipped)
+
+    assert str(caught.value).startswith(f"{asked}: no such weights; {hint}")
+    assert weights_file("larger", shipped) == Path("larger.onnx")
