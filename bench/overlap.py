@@ -103,17 +103,27 @@ def counted(sums: Sums, percept: Percept, truth: Truth, roi: Frame) -> Sums:
     rows = np.flatnonzero(np.array(own, np.bool_) & (truth.visibility >= LEAST_VISIBLE))
     if not len(rows):
         return sums
-    boxes: NDArray[np.float32] = truth.boxes[rows]
-    shown = covered(boxes, np.array(roi.window, np.float32))
-    overlap = iou(boxes, percept.boxes[:1])[:, 0] if len(percept.boxes) else 0 * shown
-    best = int((overlap if overlap.any() else shown).argmax())
+    shown, overlap = best_of(truth.boxes[rows], np.array(roi.window), percept.boxes)
     return Sums(
         target=sums.target,
         frames=sums.frames + 1,
         answered=sums.answered + (len(percept.boxes) > 0),
-        iou=sums.iou + float(overlap[best]),
-        shown=sums.shown + float(shown[best]),
+        iou=sums.iou + overlap,
+        shown=sums.shown + shown,
     )
+
+
+def best_of(
+    boxes: NDArray[np.float32], window: NDArray[np.int_], answers: NDArray[np.float32]
+) -> tuple[float, float]:
+    """Return of one of `boxes` (n, 4) the share in the ROI and the IoU with the answer, if any.
+
+    It is the one that the answer overlaps most; where it overlaps none, the one shown most.
+    """
+    shown = covered(boxes, window.astype(np.float32))
+    overlap = iou(boxes, answers[:1])[:, 0] if len(answers) else 0 * shown
+    best = int((overlap if overlap.any() else shown).argmax())
+    return float(shown[best]), float(overlap[best])
 
 
 def watched(plan: Plan) -> Plan:

@@ -4,8 +4,9 @@ Runs the graph in line on drawn clips, or on the source of `--source`: a target 
 class, as the ball, or by the box that it has in the first frame, as referees and players. In each
 run one rule is replaced by what would be there without it, or its setting by the value that makes
 it do nothing. Prints the share of the target inside the ROI and the tracker's IoU, over all frames
-in which the target is visible, and the difference to the run with all rules, paired by the
-target: what loses nothing can go. The policies with all rules stand beside each other, too.
+in which the target is visible (of a class any object may be the one that is followed), and the
+difference to the run with all rules, paired by the target: what loses nothing can go. The policies
+with all rules stand beside each other, too.
 """
 
 import json
@@ -24,12 +25,12 @@ from rich.progress import track
 
 from bench.machine import facts
 from bench.options import JSON, ROOT, Bench, file_name, on_graph, told_changes
+from bench.overlap import best_of
 from bench.policy_rules import RULES, Rule, without
 from bench.prototype import table
 from bench.tracking.classes import planned
 from bench.tracking.intervals import METHOD, Block, difference, mean
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE
-from pipeline.boxes import covered, iou
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
 from pipeline.messages import Frame, Message, Percept, Truth
@@ -42,6 +43,7 @@ POLICIES = {  # as `planned` takes them
     "of the graph": "",
 }  # fmt: skip
 FIGURES = ("share in the ROI", "IoU")
+NOWHERE = np.zeros((0, 4), np.float32)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -62,7 +64,7 @@ class Watch:
             self._windows[message.header.seq] = message.window
         elif isinstance(message, Percept) and output.partition(".")[0] == "tracker":
             if len(message.boxes):
-                self._answers[message.header.seq] = message.boxes[0]
+                self._answers[message.header.seq] = message.boxes
         elif isinstance(message, Truth) and output == "capture.truth":
             self._truths[message.header.seq] = message
 
@@ -72,12 +74,10 @@ class Watch:
             boxes = self._meant(truth)
             if not len(boxes):
                 continue
-            window = np.array(self._windows.get(seq, (0, 0, 0, 0)), np.float32)
-            found = self._answers.get(seq)
-            self.values[FIGURES[0]].append(float(covered(boxes, window).max()))
-            self.values[FIGURES[1]].append(
-                0.0 if found is None else float(iou(found[None], boxes).max())
-            )
+            window = np.array(self._windows.get(seq, (0, 0, 0, 0)))
+            best = best_of(boxes, window, self._answers.get(seq, NOWHERE))
+            for figure, value in zip(FIGURES, best, strict=True):
+                self.values[figure].append(value)
 
     def join(self, other: "Watch") -> None:
         """Add a run with the same target from another start, which overlaps this one."""
@@ -86,7 +86,7 @@ class Watch:
             self.values[figure] += other.values[figure]
 
     def _meant(self, truth: Truth) -> NDArray[np.float32]:
-        """Return the visible object, or all of the class, of which the best shown counts."""
+        """Return the object asked for, or all of the class, where it is visible: (n, 4)."""
         rows = [
             row
             for row, label in enumerate(truth.labels)

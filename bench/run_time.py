@@ -20,7 +20,7 @@ from bench.tracking.options import GRAPH
 from bench.tracking.stages import NEEDED, Stages
 from drivers.commands import Window
 from operators.policy.learned import LearnedPolicySettings
-from operators.policy.network import SHIPPED as SHIPPED_POLICY
+from operators.policy.network import file_of
 from operators.roi_features.roi_features import SHIPPED as SHIPPED_ENCODER
 from pipeline.boxes import centres, roi_window
 from pipeline.inference import Network
@@ -114,7 +114,7 @@ def networks_of(stages: Stages) -> list[Path]:
     encoder, policy = stages.settings("roi_features"), stages.settings("policy")
     files = [weights_file(encoder.weights, {"": SHIPPED_ENCODER})]
     if isinstance(policy, LearnedPolicySettings):
-        files.append(Path(policy.weights) if policy.weights else SHIPPED_POLICY)
+        files.append(file_of(policy.weights))
     return files
 
 

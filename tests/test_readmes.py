@@ -20,6 +20,7 @@ from operators.saliency.description import Description, over
 from pipeline import Frame, codec
 from pipeline.cli import commands
 from pipeline.cli.tasks import VERBS, command_of
+from pipeline.errors import GraphError
 from pipeline.fleet import agent_file
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import SOURCE_KEYS, Overlay
@@ -209,6 +210,21 @@ def test_every_yaml_block_is_a_graph_a_part_of_one_a_source_a_task_or_another_fi
         whole["nodes"] |= document["nodes"]
         YAML().dump(whole, path)
         assert {node.name for node in load(path).nodes} >= set(document["nodes"])
+
+
+@pytest.mark.parametrize("readme", [ROOT / "README.md", ROOT / "graphs" / "README.md"])
+def test_the_error_of_the_readmes_is_what_the_graph_has_with_that_mistake(
+    readme: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "tracking.yaml"
+    wrong = "{frame: capture.context}", "{frame: captur.context}"
+    path.write_text(TRACKING.read_text().replace(*wrong, 1))
+
+    with pytest.raises(GraphError) as caught:
+        load(path)
+
+    said = str(caught.value).replace(str(path), "graphs/tracking.yaml")
+    assert said in readme.read_text()
 
 
 def test_the_operator_of_the_readme_works_as_described(saved: Path) -> None:

@@ -80,14 +80,14 @@ def everybody(played: Played) -> Iterator[tuple[int, RoiFeatures]]:
             box = tracks.boxes[row, -1]
             parts = {name: getattr(tracks, name)[row : row + 1] for name in PER_TRACK}
             roi = camera.around(frame, box)
-            found.append(stages.call("roi_features", roi=roi, tracks=altered(tracks, **parts)))
+            found.append(stages.looks(roi, altered(tracks, **parts)))
         if found:
             names = ("ids", "features", "genuine")
             parts = {n: np.concatenate([getattr(each, n) for each in found]) for n in names}
             yield frame, altered(found[0], **parts)
         else:
             nothing = camera.nothing(frame)
-            yield frame, stages.call("roi_features", roi=nothing, tracks=tracks)
+            yield frame, stages.looks(nothing, tracks)
 
 
 def recognised(played: Played) -> Iterator[tuple[int, RoiFeatures]]:
@@ -118,7 +118,7 @@ def shown_by(played: Played, strategy: str) -> Iterator[tuple[int, RoiFeatures]]
     for frame, tracks in played.tracks.items():
         roi = played.camera.roi(frame, path.window(frame))  # raises for one of another size
         path.after_tracks(frame)
-        features = played.stages.call("roi_features", roi=roi, tracks=tracks)
+        features = played.stages.looks(roi, tracks)
         path.after_features(features)
         yield frame, features
 

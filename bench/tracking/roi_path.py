@@ -56,7 +56,7 @@ class RoiPath:
         scanpath = stages.call("policy", tracks=tracks)
         scanpath = replaced.scanpath(scanpath, tracks, self._target, frame)
         schedule: RoiSchedule | None = stages.call("dispatch", scanpath=scanpath)
-        looks = stages.call("roi_features", roi=roi, tracks=tracks)
+        looks = stages.looks(roi, tracks)
         stages.call("policy", features=looks)
         if schedule is None or frame - self._planned < self._rules.replan:
             return

@@ -16,8 +16,10 @@ from pipeline.contract import Operator, settings_of
 from pipeline.errors import GraphError
 from pipeline.executor import Executor, carried
 from pipeline.graph.plan import load_operator
-from pipeline.messages import Header, Message
+from pipeline.messages import Frame, Header, Message, RoiFeatures, Tracks
 
+ENCODER, VERIFIER = "roi_features", "verify"
+VERIFYING = ("closer", VERIFIER)  # played with the encoder where the policy reads the verifier
 NEEDED = ("downsample", "saliency", "association", "roi_features", "policy", "dispatch", "tracker")
 
 
@@ -39,11 +41,8 @@ class Stages:
                 raise GraphError(
                     f"{graph}: tracking is evaluated on {', '.join(needed)}; no {name}"
                 )
-        if POLICY in needed and "percept" in self.plan.inputs(POLICY):
-            raise GraphError(
-                f"{graph}: policy.percept: expected a policy that hears no tracker, got one that "
-                "does: its windows would depend on the tracker, which is not played here"
-            )
+        if POLICY in needed:
+            needed = (*needed, *self._before_policy(graph))
         self._parts: dict[str, Operator[Any, Any]] = {}
         self._executors: dict[str, Executor] = {}
         self._own: dict[str, Any] = {}  # settings, as the graph has them
@@ -53,6 +52,22 @@ class Stages:
             self._parts[name] = cls(checked.build(settings_of(cls), node.settings, name))
             self._own[name] = self._parts[name].settings
             self._executors[name] = Executor(name, self._parts[name])
+
+    def _before_policy(self, graph: Path) -> tuple[str, ...]:
+        """Return the further stages that a policy needs; raises `GraphError` for unknown ones."""
+        inputs = self.plan.inputs(POLICY)
+        if "percept" in inputs:
+            raise GraphError(
+                f"{graph}: policy.percept: expected a policy that hears no tracker, got one that "
+                "does: its windows would depend on the tracker, which is not played here"
+            )
+        source = inputs["features"].source if "features" in inputs else ENCODER
+        if source not in (ENCODER, VERIFIER):
+            raise GraphError(
+                f"{graph}: policy.features: expected {ENCODER} or {VERIFIER}, which are played "
+                f"here, got {source}"
+            )
+        return VERIFYING if source == VERIFIER else ()
 
     def settings(self, name: str) -> Any:
         """Return the settings of a stage, defaults included."""
@@ -72,8 +87,12 @@ class Stages:
             part.close()
 
     def begin(self, header: Header, *names: str, **settings: Mapping[str, Any]) -> None:
-        """Begin a new stream for some stages, with these of the graph's settings changed."""
-        for name in names:
+        """Begin a new stream for some stages, with these of the graph's settings changed.
+
+        What verifies begins with the encoder.
+        """
+        verifying = VERIFYING if ENCODER in names and VERIFIER in self._parts else ()
+        for name in (*names, *verifying):
             part = self._parts[name]
             part.on_settings(replace(self._own[name], **settings.get(name, {})))
             part.on_stream(header)
@@ -81,6 +100,14 @@ class Stages:
     def restore(self, name: str, state: object) -> None:
         """Let a stage go on from the state of another instance."""
         self._parts[name].restore(state)
+
+    def looks(self, roi: Frame, tracks: Tracks) -> RoiFeatures:
+        """Return what the policy hears of a ROI: what the encoder tells, verified in its graph."""
+        features: RoiFeatures = self.call(ENCODER, roi=roi, tracks=tracks)
+        if VERIFIER in self._parts:
+            closer = self.call("closer", frame=roi)
+            features = self.call(VERIFIER, features=features, closer=closer, tracks=tracks, roi=roi)
+        return features
 
     def call(self, name: str, **messages: Message) -> Any:
         """Pass one set of messages to a stage; return its answer, None for nothing.

@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 
 CLASSES = (
-    *("LearnedPolicy", "PursuitPolicy", "GreedyPolicy", "RoundRobinPolicy", "CentredPolicy"),
+    *("LearnedPolicy", "VerifyingPolicy", "PursuitPolicy"),
+    *("GreedyPolicy", "RoundRobinPolicy", "CentredPolicy"),
 )
 _OPERATORS = f"operators.policy:{CLASSES[0]}, {', '.join(CLASSES[1:-1])} or {CLASSES[-1]}"
 NO_POLICY = f"there is no class Policy any more; name {_OPERATORS} as the operator"

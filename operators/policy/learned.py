@@ -87,9 +87,10 @@ class LearnedPolicy(PolicyInputs[LearnedPolicySettings]):
 
     @classmethod
     def advise(cls, settings: LearnedPolicySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
-        """Nothing; raises `SettingsError` for a detector that this policy does not go with.
+        """Nothing; raises `SettingsError` for tracks that this policy does not go with.
 
-        It must know the target's class and describe objects as the network was trained on.
+        They must know the target's class, describe objects as the network was trained on, and have
+        its history and horizon; raises `WeightsError` where the settings have another one.
         """
         check_known(settings.target, upstream)
         channels = told_before("feature_channels", upstream)
@@ -100,6 +101,13 @@ class LearnedPolicy(PolicyInputs[LearnedPolicySettings]):
                 f"object, expected a detector with as many, got one with {channels}; "
                 "operators.policy:PursuitPolicy needs none"
             )
+        network.suits(horizon=settings.horizon, observed=settings.observed)
+        for name in ("observed", "horizon"):
+            needed, got = getattr(settings, name), told_before(name, upstream)
+            if got not in (None, needed):
+                raise SettingsError(
+                    f"weights: {network.path.name} expects tracks of {name} {needed}, got {got}"
+                )
         return ()
 
     def open(self) -> None:
@@ -161,11 +169,11 @@ class LearnedPolicy(PolicyInputs[LearnedPolicySettings]):
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
-        self._names = tracks.names
-        return scanpath(tracks, self._plan(tracks))
+        return scanpath(tracks, self.plan(tracks))
 
-    def _plan(self, tracks: Tracks) -> GazePlan:
-        """Return the network's plan."""
+    def plan(self, tracks: Tracks) -> GazePlan:
+        """Return the network's plan, and keep the new state."""
+        self._names = tracks.names
         s, network = self.settings, self._network
         network.check(tracks)
         wrong = fault(tracks)

@@ -58,13 +58,12 @@ CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
 
 
 @dataclass(frozen=True, kw_only=True)
-class PursuitPolicySettings(TargetSettings):
+class SearchSettings(TargetSettings):
     """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
     FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS}
 
     horizon: int = 16  # Tp, frames planned
-    confirm: int = 3  # sightings before the gaze moves to a candidate
     patience: int = 24  # frames to wait at the last place before searching for a class
     # of a candidate of class `target`, by score and looks, as the shipped detector and encoder give
     # them; 0: any
@@ -73,14 +72,24 @@ class PursuitPolicySettings(TargetSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_horizon(self.horizon)
-        if self.confirm < 1:
-            raise SettingsError(f"confirm: must be at least 1, got {self.confirm}")
         if self.patience < 0:
             raise SettingsError(f"patience: must be at least 0, got {self.patience}")
         if not 0 <= self.least_probability < 1:
             raise SettingsError(
                 f"least_probability: must be at least 0 and below 1, got {self.least_probability}"
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PursuitPolicySettings(SearchSettings):
+    """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
+
+    confirm: int = 3  # sightings before the gaze moves to a candidate
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.confirm < 1:
+            raise SettingsError(f"confirm: must be at least 1, got {self.confirm}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,7 +112,7 @@ class PursuitState:
         return self if spec == self.spec else type(self)(spec=spec, verdicts=self.verdicts)
 
 
-S = TypeVar("S", bound=PursuitPolicySettings)
+S = TypeVar("S", bound=SearchSettings)
 State = TypeVar("State", bound=PursuitState)
 
 
@@ -155,22 +164,25 @@ class Pursuit(PolicyInputs[S]):
             self._state = replace(self._state, verdicts=verdicts)
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
-        """Plan the frames after this one."""
-        s = self.settings
+        """Plan the frames after this one; a class that the tracks do not have is logged once."""
         if tracks.names != self._names:
             self._names = tracks.names
-            if sentence := unknown_label(s.target, tracks.names):
+            if sentence := unknown_label(self.settings.target, tracks.names):
                 log.warning(sentence)
         return scanpath(tracks, self.plan(tracks))
 
     def plan(self, tracks: Tracks) -> GazePlan:
         """Return where to look in the frames after this one, and keep the new state."""
-        plan, self._state = pursue(tracks, self._state, self.settings)
-        return plan
+        raise NotImplementedError
 
 
 class PursuitPolicy(Pursuit[PursuitPolicySettings]):
     """Always proposes windows: without objects, positions to look at."""
+
+    def plan(self, tracks: Tracks) -> GazePlan:
+        """Return where to look in the frames after this one, and keep the new state."""
+        plan, self._state = pursue(tracks, self._state, self.settings)
+        return plan
 
 
 def pursue(tracks: Tracks, before: State, rules: PursuitPolicySettings) -> tuple[GazePlan, State]:
@@ -299,7 +311,7 @@ def noted(tracks: Tracks, row: int, now: State, spec: TargetSpec) -> State:
     )
 
 
-def unlocked(tracks: Tracks, now: State, rules: PursuitPolicySettings) -> tuple[GazePlan, State]:
+def unlocked(tracks: Tracks, now: State, rules: SearchSettings) -> tuple[GazePlan, State]:
     """Return where to look without a target: its carrier, its last position, then everywhere."""
     spec, horizon = now.spec, rules.horizon
     carrier = row_of(tracks, now.carrier_id)

@@ -9,8 +9,8 @@ ball ever more surely is not passed over for a boot that was verified by mistake
 followed for a while and is lost is waited for and looked for among people, not among faint
 candidates again.
 
-That is for a target asked for by its class. One that was shown, by id or by box, needs no search:
-the network follows it, as in `LearnedPolicy`.
+That is for a target asked for by its class. One asked for by id or box needs no search: the network
+follows it, as in `LearnedPolicy`.
 """
 
 from collections.abc import Iterable, Mapping
@@ -28,13 +28,13 @@ from operators.policy.pursuit import (
     MARGIN,
     SURE,
     Pursuit,
-    PursuitPolicySettings,
     PursuitState,
+    SearchSettings,
     carrier_of,
     noted,
     unlocked,
 )
-from pipeline import Header, RoiFeatures, Scanpath, SettingsError, Tracks
+from pipeline import Header, RoiFeatures, SettingsError, Tracks
 from pipeline.boxes import centres
 
 EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge nothing is judged
@@ -44,16 +44,10 @@ GIVEN_UP = 16  # candidates that were never judged are passed over, so many at o
 
 
 @dataclass(frozen=True, kw_only=True)
-class VerifyingPolicySettings(PursuitPolicySettings, LearnedPolicySettings):
-    """What a graph may set. The settings of `LearnedPolicy` count for a target that was shown.
+class VerifyingPolicySettings(SearchSettings, LearnedPolicySettings):
+    """What a graph may set. Those of `LearnedPolicy` count for a target asked for by id or box."""
 
-    Those of `PursuitPolicy` count for one of a class, which needs `looks` in place of `confirm`.
-    """
-
-    FORMER: ClassVar[Mapping[str, str]] = {
-        **LearnedPolicySettings.FORMER,
-        **PursuitPolicySettings.FORMER,
-    }
+    FORMER: ClassVar[Mapping[str, str]] = {**LearnedPolicySettings.FORMER, **SearchSettings.FORMER}
 
     least_probability: float = 0.08  # of a verified candidate, by context and ROI
     looks: int = 7  # frames in which the ROI shows a candidate before it is believed
@@ -88,13 +82,13 @@ class VerifyingState(PursuitState):
     """State between frames; immutable."""
 
     search: SearchState = field(default_factory=SearchState)
-    shown: PolicyState = field(default_factory=PolicyState)  # of the network
+    learned: PolicyState = field(default_factory=PolicyState)  # of a target asked for by id or box
 
 
 class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
     """Always proposes windows, of candidates and of places as well as of the target.
 
-    Of a target that was shown it proposes what `LearnedPolicy` does.
+    Of a target asked for by id or box it proposes what `LearnedPolicy` does.
     """
 
     live: ClassVar[tuple[str, ...]] = (*Pursuit.live, "looks", "sought")
@@ -115,6 +109,10 @@ class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
         self._learned.open()
 
     def on_settings(self, settings: VerifyingPolicySettings) -> None:
+        """Change the target from the next plan on.
+
+        Raises `SettingsError`, before anything changes, for a class that the tracks do not have.
+        """
         super().on_settings(settings)
         self._learned.ask(settings)
 
@@ -137,28 +135,22 @@ class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
 
     def state(self) -> VerifyingState:
         """Return the state."""
-        return replace(self._state, shown=self._learned.state())
+        return replace(self._state, learned=self._learned.state())
 
-    def restore(self, state: PursuitState) -> None:
+    def restore(self, state: Any) -> None:
         """Take over another instance's state, reset if its target was another one."""
-        super().restore(state)
-        if isinstance(state, VerifyingState):
-            self._learned.restore(state.shown)
+        super().restore(replace(state, learned=PolicyState()))  # kept in one place
+        self._learned.restore(state.learned)
 
     def on_features(self, features: RoiFeatures) -> None:
         """Judge what the ROI showed, and keep it for the network."""
         super().on_features(features)
         self._learned.on_features(features)
 
-    def on_tracks(self, tracks: Tracks) -> Scanpath:
-        """Plan the frames after this one."""
-        if self._state.spec.one:
-            self._names = tracks.names
-            return self._learned.on_tracks(tracks)
-        return super().on_tracks(tracks)
-
     def plan(self, tracks: Tracks) -> GazePlan:
         """Return where to look in the frames after this one, and keep the new state."""
+        if self._state.spec.one:
+            return self._learned.plan(tracks)
         plan, self._state = seek(tracks, self._state, self.settings)
         return plan
 

@@ -65,7 +65,13 @@ def test_frames_without_an_answer_count_as_missed() -> None:
     assert watch.values == {FIGURES[0]: [0, 0.5], FIGURES[1]: [0, 1]}
 
 
-def test_of_a_class_any_object_may_be_followed() -> None:
+@pytest.mark.parametrize(
+    ("window", "shown"),
+    [((40, 0, 90, 40), 1), ((0, 0, 30, 40), 0)],  # the second one, the first
+)
+def test_of_a_class_any_object_may_be_followed_but_one_counts_in_both_figures(
+    window: tuple[int, int, int, int], shown: float
+) -> None:
     watch = Watch(kind="referee")
     truth = Truth(
         header=header(1), boxes=np.array([[0, 0, 9, 9], [50, 0, 60, 10]], np.float32),
@@ -76,13 +82,13 @@ def test_of_a_class_any_object_may_be_followed() -> None:
         header=header(1), boxes=truth.boxes[1:], ids=np.zeros(1, np.int32),
         scores=np.ones(1, np.float32),
     )  # fmt: skip
-    roi = Frame(header=header(1), pixels=np.zeros((1, 1, 3), np.uint8), window=(40, 0, 90, 40))
+    roi = Frame(header=header(1), pixels=np.zeros((1, 1, 3), np.uint8), window=window)
     for name, message in (("capture.truth", truth), ("capture.roi", roi), ("tracker", answer)):
         watch.hear(name, message)
 
     watch.judge()
 
-    assert watch.values == {FIGURES[0]: [1], FIGURES[1]: [1]}
+    assert watch.values == {FIGURES[0]: [shown], FIGURES[1]: [1]}
 
 
 def test_what_is_lost_without_a_rule_is_told_beside_its_figure() -> None:

@@ -180,7 +180,10 @@ def loop(
     return Loop(camera=camera, stages=stages, tracks=tracks or {}, rules=Rules(**rules))  # type: ignore[arg-type]
 
 
-def test_an_episode_has_the_windows_of_the_running_loop(clip: Clip) -> None:
+@pytest.mark.parametrize(("graph", "policy"), [("learned", "pursuit"), ("tracking", "")])
+def test_an_episode_has_the_windows_of_the_running_loop(
+    clip: Clip, graph: str, policy: str
+) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     box = [float(v) for v in ball.boxes[0]]
     aim = ("policy.target=''", f"policy.prompt_box={box}")
@@ -191,12 +194,13 @@ def test_an_episode_has_the_windows_of_the_running_loop(clip: Clip) -> None:
         if output == "capture.roi" and isinstance(message, Frame):
             looked.append(message.window)
 
-    plan = planned(GRAPH, (*aim, *sensor), policy="pursuit")
+    path = GRAPH.with_stem(graph)
+    plan = planned(path, (*aim, *sensor), policy=policy)
     with InlineRunner(plan, watch=note) as runner:
         list(runner.run(14))
 
     camera = Camera(clip, acquisition("foveated", Fraction(1, 8), clip.size_px))
-    with Stages(GRAPH, policy="pursuit") as stages:
+    with Stages(path, policy=policy) as stages:
         tracks = watched(camera, stages, 14, Replaced())
         outcome = run(loop(camera, stages, tracks, aimed=False), ball, 0)
 

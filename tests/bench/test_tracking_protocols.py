@@ -196,3 +196,15 @@ def test_a_policy_that_hears_the_tracker_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(GraphError, match=r"policy\.percept: expected a policy that hears no"):
         Stages(graph)
+
+
+def test_features_that_are_not_played_are_refused(tmp_path: Path) -> None:
+    graph = tmp_path / "filtered.yaml"
+    known = GRAPH.read_text().replace("features: roi_features}", "features: sorted}")
+    graph.write_text(
+        f"{known}  sorted:\n    operator: operators.verify:Verify\n    inputs: {{features: "
+        "roi_features, closer: saliency, tracks: association, roi: capture.roi}\n"
+    )
+
+    with pytest.raises(GraphError, match=r"policy\.features: expected roi_features or verify"):
+        Stages(graph)

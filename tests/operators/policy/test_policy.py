@@ -15,6 +15,7 @@ from operators.policy import (
     PursuitPolicy,
     PursuitPolicySettings,
     RoundRobinPolicy,
+    VerifyingPolicy,
 )
 from operators.policy.network import SHIPPED, PolicyNetwork, file_of
 from pipeline import (
@@ -146,7 +147,10 @@ def test_a_prompt_box_that_is_no_box_is_refused(settings):
         settings(prompt_box=(10.0, 10.0, 5.0, 20.0))
 
 
-ALL = [LearnedPolicy, PursuitPolicy, GreedyPolicy, RoundRobinPolicy, CentredPolicy]
+ALL = [
+    *(LearnedPolicy, PursuitPolicy, VerifyingPolicy),
+    *(GreedyPolicy, RoundRobinPolicy, CentredPolicy),
+]
 
 
 @pytest.mark.parametrize("policy", ALL)

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from operators.policy import LearnedPolicy, PursuitPolicy, RoundRobinPolicy
+from operators.association import AssociationSettings
+from operators.policy import LearnedPolicy, PursuitPolicy, RoundRobinPolicy, VerifyingPolicy
 from operators.policy.motion import camera_motion
 from operators.policy.target import Choice, TargetSpec, TargetState, follow, unknown_label
 from pipeline import Operator, SettingsError, WeightsError
@@ -127,7 +128,7 @@ class Absent:
     feature_channels = reported_classes
 
 
-POLICIES = [LearnedPolicy, PursuitPolicy, RoundRobinPolicy]
+POLICIES = [LearnedPolicy, PursuitPolicy, RoundRobinPolicy, VerifyingPolicy]
 
 
 def advised(policy: type[Operator[Any, Any]], target: str, *before: object) -> list[str]:
@@ -166,8 +167,27 @@ def test_many_classes_are_named_in_part() -> None:
     assert len(said) < 1200
 
 
+@pytest.mark.parametrize("policy", [LearnedPolicy, VerifyingPolicy])
 @pytest.mark.parametrize("channels", [0, 32])
-def test_a_detector_whose_features_the_network_does_not_know_is_refused(channels: int) -> None:
+def test_a_detector_whose_features_the_network_does_not_know_is_refused(
+    policy: type[Operator[Any, Any]], channels: int
+) -> None:
     with pytest.raises(SettingsError, match=f"reads 64 features .* got one with {channels}; "):
-        advised(LearnedPolicy, "dog", Known(feature_channels=channels))
+        advised(policy, "dog", Known(feature_channels=channels))
     assert advised(PursuitPolicy, "dog", Known(feature_channels=channels)) == []
+
+
+@pytest.mark.parametrize("policy", [LearnedPolicy, VerifyingPolicy])
+@pytest.mark.parametrize(
+    ("tracks_of", "said"),
+    [
+        (AssociationSettings(horizon=8), "expects tracks of horizon 16, got 8"),
+        (AssociationSettings(observed=2), "expects tracks of observed 4, got 2"),
+    ],
+)
+def test_tracks_of_another_length_are_refused_before_the_start(
+    policy: type[Operator[Any, Any]], tracks_of: AssociationSettings, said: str
+) -> None:
+    with pytest.raises(SettingsError, match=said):
+        advised(policy, "dog", Known(), tracks_of)
+    assert advised(policy, "dog", Known(), AssociationSettings()) == []

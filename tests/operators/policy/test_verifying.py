@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from operators.policy import (
-    LearnedPolicy,
-    LearnedPolicySettings,
-    VerifyingPolicy,
-    VerifyingPolicySettings,
-)
+from operators.policy import VerifyingPolicy, VerifyingPolicySettings
 from operators.policy.candidates import faint_odds
-from operators.policy.conditioning import CHANNELS
 from operators.policy.verifying import REFUTED, SearchState
 from pipeline import RoiFeatures, Scanpath, SettingsError, Tracks, codec
 from pipeline.node.operator_state import restore
@@ -293,66 +287,6 @@ def test_what_was_locked_for_a_moment_is_forgotten() -> None:
         assert run.seq < 20
 
     assert run.looked_at(3, 2)[-1] == 2
-
-
-SHOWN = {"target": "", "prompt_box": (290.0, 290.0, 310.0, 310.0)}
-
-
-def looks_and_tracks(seq: int) -> tuple[RoiFeatures, Tracks]:
-    """Return a ball at (300, 300), another one, a crowd, and what the ROI showed of the first."""
-    crowd = [(20 + k, 1, 900.0 + 50 * k, 500.0, 0.0) for k in range(3)]
-    frame = tracks(seq, (1, 0, 300, 300, 2.0), (2, 0, 1500, 800, 0.0), *crowd, channels=CHANNELS)
-    features = RoiFeatures(
-        header=frame.header, ids=np.array([1], np.int32), features=np.ones((1, 576), np.float32),
-        genuine=np.array([0.9], np.float32),
-    )  # fmt: skip
-    return features, frame
-
-
-def played(policy: LearnedPolicy | VerifyingPolicy, frames: range) -> list[Scanpath]:
-    paths = []
-    for seq in frames:
-        features, frame = looks_and_tracks(seq)
-        policy.on_features(features)
-        paths.append(policy.on_tracks(frame))
-    return paths
-
-
-def verifying(**values: object) -> VerifyingPolicy:
-    policy = VerifyingPolicy(build(VerifyingPolicySettings, values, "policy"))
-    policy.open()
-    return policy
-
-
-def test_a_target_that_was_shown_is_followed_as_by_the_network_also_after_a_swap() -> None:
-    network = LearnedPolicy(build(LearnedPolicySettings, SHOWN, "policy"))
-    network.open()
-    first, second = verifying(**SHOWN), verifying(**SHOWN)
-
-    wanted = played(network, range(8))
-    got = played(first, range(4))
-    assert restore(second, codec.dumps(first.state())) == "carried over"
-    got += played(second, range(4, 8))
-
-    for mine, other in zip(got, wanted, strict=True):
-        assert mine.choice[0] == 1
-        np.testing.assert_array_equal(mine.choice, other.choice)
-        np.testing.assert_array_equal(mine.boxes, other.boxes)
-        np.testing.assert_array_equal(mine.probability, other.probability)
-
-
-def test_a_target_can_be_shown_to_a_policy_that_searches_and_the_other_way_round() -> None:
-    policy = verifying(target="ball")
-    assert played(policy, range(4))[-1].choice[0] == -1  # it is looked at, not yet believed
-
-    policy.on_settings(build(VerifyingPolicySettings, SHOWN, "policy"))
-    assert played(policy, range(4, 8))[-1].choice[0] == 1
-
-    with pytest.raises(SettingsError, match=r"expected one of ball, player, got cat"):
-        policy.on_settings(build(VerifyingPolicySettings, {"target": "cat"}, "policy"))
-    assert policy.settings.prompt_box == SHOWN["prompt_box"]
-    policy.on_settings(build(VerifyingPolicySettings, {"target": "ball"}, "policy"))
-    assert played(policy, range(8, 10))[-1].choice[0] == 1  # the ROI has shown it often enough
 
 
 def test_its_state_crosses_a_swap() -> None:

@@ -84,7 +84,7 @@ def test_memory_is_limited_to_what_nodes_pools_and_the_agent_may_take(tmp_path: 
 
 
 def test_pools_take_what_the_settings_tell_where_they_do(tmp_path: Path) -> None:
-    words = ["k8s", str(GRAPHS / "tracking.yaml"), f"--credentials={tmp_path}"]
+    words = ["k8s", str(GRAPHS / "learned.yaml"), f"--credentials={tmp_path}"]
     text = CliRunner().invoke(export_command, words, catch_exceptions=False).output
 
     _, deployment = YAML(typ="safe").load_all(text)

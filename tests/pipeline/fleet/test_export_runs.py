@@ -78,7 +78,7 @@ def limit_mb(container: str) -> float:
 
 
 def test_a_frozen_supervisor_is_found_after_half_a_minute_and_ended(tmp_path: Path) -> None:
-    path = GRAPHS / "tracking.yaml"
+    path = GRAPHS / "learned.yaml"
     plan, bundle = load(path), Bundle(path, tmp_path, "alice")
     _, documents = manifests(plan, bundle)
     with played(documents, tmp_path) as container:
