@@ -1,6 +1,6 @@
 """Record, replay and compare: `python -m bench.replays [--seeds 10] [--footage FOLDER]`.
 
-Records the tracking graph in one thread and in lockstep, once for each seed of the drawn scene and
+Records the graph learned in one thread and in lockstep, once for each seed of the drawn scene and
 once on a clip of SoccerNet Tracking if there is one; runs the graph on each recording and compares
 every message that it computes with the one recorded, bit for bit. Then the same light again: one
 recording of full frames, on which the graph runs with other budgets and another target.
@@ -24,7 +24,7 @@ from pipeline.graph.shipped import source_path
 from pipeline.recording.reader import Recording
 from pipeline.run.replay import plan_in, record_inline, replay
 
-GRAPH = ROOT / "graphs/tracking.yaml"
+GRAPH = ROOT / "graphs/learned.yaml"
 RATE_HZ = 30.0
 TRIES = (
     "capture.roi_area=0.0625", "capture.roi_area=0.03125", "capture.roi_area=0.015625",
