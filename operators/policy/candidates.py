@@ -63,9 +63,13 @@ def faint_odds(
     From its score in the context and, where the ROI showed it (`seen`), the probability at even
     odds that `operators.verify` has of it (`shown`).
     """
-    before, after = logit(scores) * UNSEEN[1] + UNSEEN[0], logit(scores) * SEEN[1] + SEEN[0]
-    verdict = logit(shown, LEAST_VERDICT)
-    return np.asarray(np.where(seen, after + verdict, before), np.float32)
+    after = logit(scores) * SEEN[1] + SEEN[0] + logit(shown, LEAST_VERDICT)
+    return np.asarray(np.where(seen, after, context_odds(scores)), np.float32)
+
+
+def context_odds(scores: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the logarithm of the odds that each candidate is a ball, by the context alone: (n,)."""
+    return np.asarray(logit(scores) * UNSEEN[1] + UNSEEN[0], np.float32)
 
 
 def probability(odds: NDArray[np.float32]) -> NDArray[np.float32]:

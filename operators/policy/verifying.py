@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.candidates import faint_odds, probability
+from operators.policy.candidates import context_odds, faint_odds, probability
 from operators.policy.decision import PolicyState
 from operators.policy.gaze_plan import GazePlan, follow, future, of_class, row_of, stay
 from operators.policy.learned import LearnedPolicy, LearnedPolicySettings
@@ -40,6 +40,7 @@ from pipeline.boxes import centres
 EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge nothing is judged
 REFUTED = 120  # frames in succession after which what the ROI refutes is let go
 LATE = 6  # frames more than `looks` for which a candidate is waited for
+PLAIN = 3  # frames in which the context shows a candidate that needs no looks
 GIVEN_UP = 16  # candidates that were never judged are passed over, so many at once
 
 
@@ -217,12 +218,13 @@ def locked_on(
     odds: NDArray[np.float32],
     rules: VerifyingPolicySettings,
 ) -> VerifyingState:
-    """Keep, gain or change the track that is the target: the likeliest verified one.
+    """Keep, gain or change the track that is the target: the likeliest one that may be believed.
 
-    One that has become unlikely is kept until another is verified, or for `REFUTED` frames: a ball
+    That is a verified one, or one of which the context is sure enough that it needs no looks. One that has become unlikely is kept until another is verified, or for `REFUTED` frames: a ball
     is refuted for a while wherever it is blurred or half hidden.
     """
     fit = now.verdicts.views(tracks.ids) >= rules.looks
+    fit |= (probability(context_odds(tracks.scores)) >= SURE) & (tracks.visible.sum(1) >= PLAIN)
     fit &= np.isfinite(odds) & (probability(odds) >= rules.least_probability)
     own, search = row_of(tracks, now.locked), now.search
     rivals = np.where(fit & tracks.visible[:, -1], odds, -np.inf)

@@ -157,8 +157,8 @@ ALL = [
 def test_the_strategy_as_a_setting_is_refused_with_the_classes_to_name(policy):
     said = (
         rf"{policy.__name__}\.strategy: expected the strategy as the class of the node, operator: "
-        "operators.policy:LearnedPolicy, PursuitPolicy, GreedyPolicy, RoundRobinPolicy or "
-        "CentredPolicy"
+        "operators.policy:LearnedPolicy, VerifyingPolicy, PursuitPolicy, GreedyPolicy, "
+        "RoundRobinPolicy or CentredPolicy"
     )
     with pytest.raises(SettingsError, match=said):
         drive(policy, [], {"strategy": "pursue"})
