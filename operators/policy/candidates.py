@@ -68,7 +68,7 @@ def faint_odds(
 
 
 def context_odds(scores: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the logarithm of the odds that each candidate is a ball, by the context alone: (n,)."""
+    """Return the logarithm of the odds of each candidate by the context alone: (n,)."""
     return np.asarray(logit(scores) * UNSEEN[1] + UNSEEN[0], np.float32)
 
 

@@ -38,6 +38,7 @@ from pipeline import Header, RoiFeatures, SettingsError, Tracks
 from pipeline.boxes import centres
 
 EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge nothing is judged
+OWN_GAIN = 0.2  # of the latest frame in the odds of the present target
 REFUTED = 120  # frames in succession after which what the ROI refutes is let go
 LATE = 6  # frames more than `looks` for which a candidate is waited for
 PLAIN = 3  # frames in which the context shows a candidate that needs no looks
@@ -72,7 +73,7 @@ class SearchState:
     kept: int = 0  # frames in which the gaze followed the present target
     followed: bool = False  # whether one was followed for `patience` frames
     refuted: int = 0  # frames in succession in which the present target was an unlikely one
-    odds: float = 0.0  # of the present target when it was last visible, their logarithm
+    odds: float = 0.0  # of the present target, their logarithm
     shown_id: int = -1  # the candidate that is being looked at
     shown_seq: int = -1  # since when
     given_up: tuple[int, ...] = ()  # the last ones that the ROI could not judge
@@ -191,14 +192,16 @@ def seek(
 def target_odds(tracks: Tracks, now: VerifyingState) -> NDArray[np.float32]:
     """Return the logarithm of the odds that each track is the target: (n,); -inf: another class.
 
-    A hidden target has those of the frame in which it was last visible: a track's score falls while
+    Those of the present target change slowly: it is refuted wherever it is blurred or half hidden.
+    A hidden one keeps those of the frame in which it was last visible: a track's score falls while
     the context misses it, which tells nothing of what it is.
     """
     verdicts, ids = now.verdicts, tracks.ids
     odds = faint_odds(tracks.scores, verdicts.of(ids), verdicts.settled(ids))
     own = row_of(tracks, now.locked)
-    if own >= 0 and not tracks.visible[own, -1]:
-        odds[own] = now.search.odds
+    if own >= 0:
+        gain = OWN_GAIN if tracks.visible[own, -1] else 0.0
+        odds[own] = now.search.odds + gain * (odds[own] - now.search.odds)
     return np.where(of_class(tracks, now.spec.label), odds, np.float32(-np.inf))
 
 
@@ -220,8 +223,9 @@ def locked_on(
 ) -> VerifyingState:
     """Keep, gain or change the track that is the target: the likeliest one that may be believed.
 
-    That is a verified one, or one of which the context is sure enough that it needs no looks. One that has become unlikely is kept until another is verified, or for `REFUTED` frames: a ball
-    is refuted for a while wherever it is blurred or half hidden.
+    That is a verified one, or one of which the context is sure enough that it needs no looks. One
+    that has become unlikely is kept until another is verified, or for `REFUTED` frames, for
+    `patience` where it was not followed as long.
     """
     fit = now.verdicts.views(tracks.ids) >= rules.looks
     fit |= (probability(context_odds(tracks.scores)) >= SURE) & (tracks.visible.sum(1) >= PLAIN)
@@ -235,9 +239,10 @@ def locked_on(
         search = replace(search, kept=0, refuted=0, odds=float(odds[best]))
         return replace(now, locked=int(tracks.ids[best]), search=search)
     refuted = 0 if own < 0 or fit[own] else search.refuted + 1
-    if own < 0 or refuted >= REFUTED:
+    if own < 0 or refuted >= (REFUTED if search.followed else rules.patience):
         return replace(now, locked=-1, search=replace(search, refuted=0))
-    return replace(now, search=replace(search, refuted=refuted, odds=float(odds[own])))
+    last = float(odds[own]) if np.isfinite(odds[own]) else search.odds  # -inf: of another class
+    return replace(now, search=replace(search, refuted=refuted, odds=last))
 
 
 def looked_at(
