@@ -25,7 +25,7 @@ from pipeline.errors import RunError
 
 RESULTS = Path(__file__).resolve().parent / "results"
 RUNS: dict[str, tuple[int, tuple[str, ...]]] = {  # frames, settings
-    "tracking": (100, ("capture.options.rate_hz=10",)),
+    "tracking": (75, ("capture.options.rate_hz=10",)),
     # with the ball, the policy was searching
     "whole_pitch": (64, ("capture.options.rate_hz=4", "policy.target=player")),
     "text": (60, ("capture.options.rate_hz=3",)),

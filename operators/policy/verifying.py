@@ -2,12 +2,12 @@
 
 A ball of two pixels in the context is one of fifty candidates, behind boots, lines and scraps. Full
 resolution tells them apart, if it is asked: the ROI shows the likeliest candidates one window after
-another, each in `looks` frames, until one of them is verified (operators.verify). It is followed as
-in pursuit. Unless it is surely the target, a window of candidates that were not looked at often
-enough is looked at first where that is likelier to show the target: what the context takes for a
-ball ever more surely is not passed over for a boot that was verified by mistake. A target that was
-followed for a while and is lost is waited for and looked for among people, not among faint
-candidates again.
+another, each in `looks` frames, until one of them is verified (operators.verify); one of which the
+context is sure needs no looks. It is followed as in pursuit. Unless it is surely the target, a
+window of candidates that were not looked at often enough is looked at first where that is likelier
+to show the target: what the context takes for a ball ever more surely is not passed over for a boot
+that was verified by mistake. A target that was followed for a while and is lost is waited for and
+looked for among people, not among faint candidates again.
 
 That is for a target asked for by its class. One asked for by id or box needs no search: the network
 follows it, as in `LearnedPolicy`.
