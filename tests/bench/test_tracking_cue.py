@@ -19,7 +19,7 @@ from bench.tracking.stock import Stock, giver
 from bench.tracking.targets import Target, targets
 from operators.tracker import TrackerState
 from pipeline.errors import SettingsError
-from pipeline.messages import Message, Scanpath
+from pipeline.messages import Frame, Message, RoiFeatures, Scanpath, Tracks
 from tests.bench.test_tracking_options import read as asked
 
 GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "learned.yaml"
@@ -69,6 +69,9 @@ class Heard:
     def restore(self, name: str, state: TrackerState) -> None:
         self.states.append(state)
         self._stages.restore(name, state)
+
+    def looks(self, roi: Frame, tracks: Tracks) -> RoiFeatures:
+        return self._stages.looks(roi, tracks)
 
     def call(self, name: str, **messages: Message) -> Any:
         answer = self._stages.call(name, **messages)

@@ -15,7 +15,7 @@ from bench.tracking.replaced import Replaced
 from bench.tracking.sight import watched
 from bench.tracking.stages import Stages
 from bench.tracking.targets import targets
-from pipeline.messages import Header, Message
+from pipeline.messages import Frame, Header, Message, RoiFeatures, Tracks
 
 GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "learned.yaml"
 STRATEGIES = ("spatial", "temporal", "exposure", "foveated", "centred", "round_robin", "oracle")
@@ -46,6 +46,9 @@ class Initialised:
 
     def restore(self, name: str, state: object) -> None:
         self._stages.restore(name, state)
+
+    def looks(self, roi: Frame, tracks: Tracks) -> RoiFeatures:
+        return self._stages.looks(roi, tracks)
 
     def call(self, name: str, **messages: Message) -> Any:
         if name == "tracker" and self.frame < 0:
