@@ -107,7 +107,8 @@ def test_the_status_line_of_a_running_graph_shows_its_overlap_with_the_truth(
 def test_a_model_file_is_swapped_like_any_setting_and_a_missing_one_is_refused(
     tracking: Supervisor, tmp_path: Path
 ) -> None:
-    other = shutil.copy(ROOT / "operators" / "saliency" / "detector_int8.onnx", tmp_path / "other.onnx")
+    shipped = ROOT / "operators" / "saliency" / "detector_int8.onnx"
+    other = shutil.copy(shipped, tmp_path / "other.onnx")
     answers: list[Result] = []
     wait_for(tracking, lambda: handled(tracking, "saliency") > 3, 60)
 
