@@ -36,13 +36,13 @@ class Stages:
     ) -> None:
         self.plan = planned(graph, changes, tracker, policy)
         known = {node.name for node in self.plan.nodes}
+        if POLICY in needed and POLICY in known:
+            needed = (*needed, *self._before_policy(graph))
         for name in needed:
             if name not in known:
                 raise GraphError(
                     f"{graph}: tracking is evaluated on {', '.join(needed)}; no {name}"
                 )
-        if POLICY in needed:
-            needed = (*needed, *self._before_policy(graph))
         self._parts: dict[str, Operator[Any, Any]] = {}
         self._executors: dict[str, Executor] = {}
         self._own: dict[str, Any] = {}  # settings, as the graph has them

@@ -129,7 +129,7 @@ class LearnedPolicy(PolicyInputs[LearnedPolicySettings]):
         self.ask(settings)
 
     def ask(self, settings: LearnedPolicySettings) -> None:
-        """Change the target; its class was checked."""
+        """Change the target, whose class the caller has checked, from the next plan on."""
         self.settings, before = settings, self._state
         self._state = before.asked_for(settings.spec)
         if self._state is not before:

@@ -59,7 +59,7 @@ CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings(TargetSettings):
-    """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
+    """What a graph may set of every policy that looks for one target and pursues it by rules."""
 
     FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS}
 

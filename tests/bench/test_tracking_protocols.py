@@ -198,6 +198,17 @@ def test_a_policy_that_hears_the_tracker_is_refused(tmp_path: Path) -> None:
         Stages(graph)
 
 
+def test_a_verifier_without_its_detector_is_refused(tmp_path: Path) -> None:
+    graph = tmp_path / "renamed.yaml"
+    known = GRAPH.with_stem("tracking").read_text()
+    graph.write_text(
+        known.replace("  closer: #", "  nearer: #").replace("closer: closer", "closer: nearer")
+    )
+
+    with pytest.raises(GraphError, match=r"tracking is evaluated on .*; no closer"):
+        Stages(graph)
+
+
 def test_features_that_are_not_played_are_refused(tmp_path: Path) -> None:
     graph = tmp_path / "filtered.yaml"
     known = GRAPH.read_text().replace("features: roi_features}", "features: sorted}")
