@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import click
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -24,6 +26,7 @@ from bench.options import JSON, Bench, file_name
 from bench.tracking.targets import targets
 from drivers.datasets.soccernet import SoccerNetSequence
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Annotations
+from operators.saliency.difference import FrameDifference
 from operators.saliency.example import BALL, NAMES
 from operators.saliency.judging import FLOOR
 from operators.training.stills import Labelled
@@ -71,7 +74,7 @@ def candidates(
     frames = range(0, len(truths), every)
     for k in track(frames, "score", console=Console(stderr=True)):
         small = looker.shrink(labelled(source, k, truths[k]))
-        found = looker.look(small.picture)
+        found = looker.look(small.picture, changed(looker, source, k, small))
         marks.take(found, small, WANTED)
         true = small.boxes[small.numbers == NAMES.index(BALL)]
         if ball.visible[k] >= LEAST_VISIBLE and len(true):
@@ -84,6 +87,19 @@ def candidates(
         "among": {state: _share(rows) for state, rows in sorted(among.items())},
         "classes": figures(marks, own),
     }  # fmt: skip
+
+
+def changed(
+    looker: Looker, source: SoccerNetSequence, index: int, small: Labelled
+) -> NDArray[np.int16] | None:
+    """What changed in a frame since the one before, for a detector that reads it."""
+    if not looker.reads_difference or not index:
+        return None
+    size_px = small.picture.shape[1], small.picture.shape[0]
+    before = cv2.resize(source.picture(index - 1), size_px, interpolation=cv2.INTER_AREA)
+    difference = FrameDifference()
+    difference.of(np.asarray(before, np.uint8))
+    return difference.of(small.picture)
 
 
 def labelled(source: SoccerNetSequence, index: int, truth: Annotations) -> Labelled:

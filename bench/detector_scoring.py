@@ -81,11 +81,18 @@ class Looker:
             picture=np.asarray(small, np.uint8), boxes=item.boxes * gain, numbers=item.numbers
         )
 
-    def look(self, picture: NDArray[np.uint8]) -> Found:
-        """Objects by class, in the picture's pixels."""
+    @property
+    def reads_difference(self) -> bool:
+        """Whether `look` needs what changed since the frame before."""
+        return self._usual.reads_difference
+
+    def look(
+        self, picture: NDArray[np.uint8], difference: NDArray[np.int16] | None = None
+    ) -> Found:
+        """Objects by class, in the picture's pixels; `difference` as `Detector.look` takes it."""
         detector = self._for(picture.shape[1], picture.shape[0])
         began, cpu = time.perf_counter(), time.process_time()
-        found, at, _ = detector.look(picture)
+        found, at, _ = detector.look(picture, difference)
         self.wall_ms.append((time.perf_counter() - began) * 1e3)
         self.processor_ms.append((time.process_time() - cpu) * 1e3)
         offset = np.array([at.left_px, at.top_px] * 2, np.float32)

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.saliency.example import BALL, NAMES, Example
+from operators.saliency.movement import ball_movement, moved, person_movement, roughened
 from operators.saliency.sensor_noise import through_sensor
 from operators.training.photometric import degrade, recolour
 
 BALL_LABEL = NAMES.index(BALL)
 LEAST_SHARE = 0.3  # share of an object that must remain in the picture
 BALL_TO_PERSON = (0.085, 0.17)  # diameter over height; a ball measures 0.22 m
-SMEARED_SHARE = 0.5  # of the balls pasted; others lie still
-SMEAR = 0.8  # mean, diameters: a kick moves a ball by one or two within half a frame
 FINE = 8  # sub-pixels a side of a pasted thing
 
 
@@ -34,7 +33,7 @@ def augment(example: Example, rng: np.random.Generator, raw_share: float = 0.0) 
     picture = degrade(recolour(example.picture, rng), rng)
     if raw_share and rng.random() < raw_share:  # without it, as the shipped network was trained
         picture = through_sensor(picture, rng)
-    return replace(example, picture=picture)
+    return replace(example, picture=picture, difference=roughened(example.difference, rng))
 
 
 def move(example: Example, rng: np.random.Generator) -> Example:
@@ -50,12 +49,17 @@ def move(example: Example, rng: np.random.Generator) -> Example:
     matrix = np.array([[mirror * zoom, 0, x], [0, zoom, y]], np.float64)
     fill = tuple(int(v) for v in rng.integers(0, 256, 3))
     picture = cv2.warpAffine(example.picture, matrix, (width, height), borderValue=fill)
+    difference = example.difference
+    if difference is not None:
+        difference = np.asarray(cv2.warpAffine(difference, matrix, (width, height)), np.float32)
     boxes = example.boxes * np.float32(zoom)
     if mirror < 0:
         boxes = boxes[:, [2, 1, 0, 3]] * np.array([-1, 1, -1, 1], np.float32)
     boxes = boxes + np.array([x, y, x, y], np.float32)
-    moved = replace(example, picture=np.asarray(picture, np.uint8), boxes=boxes)
-    return cut(moved, width, height)
+    zoomed = replace(
+        example, picture=np.asarray(picture, np.uint8), boxes=boxes, difference=difference
+    )
+    return cut(zoomed, width, height)
 
 
 def cut(example: Example, width: int, height: int) -> Example:
@@ -63,8 +67,8 @@ def cut(example: Example, width: int, height: int) -> Example:
     inside = np.clip(example.boxes, 0, limits)
     share = _area(inside) / np.maximum(_area(example.boxes), 1e-6)
     kept = share > 0.02
-    return Example(
-        picture=example.picture,
+    return replace(
+        example,
         boxes=inside[kept],
         labels=example.labels[kept],
         ignored=(example.ignored | (share < LEAST_SHARE))[kept],
@@ -133,13 +137,20 @@ def paste(example: Example, rng: np.random.Generator) -> Example:
     """Paste balls over people, lines, grass and stands, and white look-alikes."""
     people = example.boxes[example.labels != BALL_LABEL]
     tall = float(np.median(people[:, 3] - people[:, 1])) if len(people) else 36.0
-    picture = example.picture.copy()
+    picture, difference = example.picture.copy(), example.difference
     for _ in range(rng.poisson(1.5)):
+        under = picture.copy()
         _draw_lookalike(picture, somewhere(example, rng), tall, rng)
+        # a boot moves, a scrap of paper does not
+        shift = person_movement(tall, rng) * np.float32(rng.integers(2))
+        difference = moved(difference, under, picture, shift)
     found = []
     for _ in range(rng.poisson(1.2)):
+        under = picture.copy()
         diameter = float(np.clip(tall * rng.uniform(*BALL_TO_PERSON), 2.2, 14))
-        found.append(_draw_ball(picture, somewhere(example, rng), diameter, rng))
+        smear, shift = ball_movement(diameter, rng)
+        found.append(_draw_ball(picture, somewhere(example, rng), diameter, smear, rng))
+        difference = moved(difference, under, picture, shift)
     balls = np.array(found, np.float32).reshape(-1, 4)
     pasted = replace(
         example,
@@ -147,6 +158,7 @@ def paste(example: Example, rng: np.random.Generator) -> Example:
         boxes=np.concatenate([example.boxes, balls]),
         labels=np.concatenate([example.labels, np.full(len(balls), BALL_LABEL)]),
         ignored=np.concatenate([example.ignored, np.zeros(len(balls), np.bool_)]),
+        difference=difference,
     )
     return cut(pasted, picture.shape[1], picture.shape[0])
 
@@ -172,12 +184,12 @@ def _draw_ball(
     picture: NDArray[np.uint8],
     place: tuple[float, float],
     diameter: float,
+    smear_px: NDArray[np.float32],
     rng: np.random.Generator,
 ) -> tuple[float, float, float, float]:
-    """A lit, patterned, possibly smeared disc; returns its box, smear included."""
-    angle = rng.uniform(0, 2 * np.pi)
-    smear = diameter * rng.exponential(SMEAR) if rng.random() < SMEARED_SHARE else 0.0
-    dx, dy = smear * np.cos(angle), smear * np.sin(angle)
+    """A lit, patterned disc, smeared by its movement; returns its box, smear included."""
+    dx, dy = (float(part) for part in smear_px)
+    smear = float(np.hypot(dx, dy))
     reach = int(np.ceil((diameter + smear) / 2)) + 2
     left, top = int(place[0]) - reach, int(place[1]) - reach
     side = 2 * reach + 1

@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from operators.saliency.augment import clutter, cut, paste
 from operators.saliency.example import ANYONE, BALL, CONTEXT_PX, NAMES, Example, resized
-from operators.saliency.pasting import Bank, is_grass, paste_at_boards, paste_balls, paste_people
+from operators.saliency.movement import in_motion, roughened
+from operators.saliency.pasting import (
+    Bank,
+    is_grass,
+    paste_at_boards,
+    paste_balls,
+    paste_crowd,
+    paste_people,
+)
 from operators.training.photometric import degrade, recolour
 
 BALL_LABEL = NAMES.index(BALL)
@@ -43,7 +51,9 @@ def augmented(
         example = recoloured_team(example, rng)
     if rng.random() < 0.35:
         example = recoloured_referees(example, rng)
+    example = in_motion(example, rng)
     example = paste_people(example, bank, rng)
+    example = paste_crowd(example, bank, rng)
     example = paste_at_boards(example, bank, rng)
     example = paste_balls(example, bank, rng)
     if rng.random() < 0.15:
@@ -52,7 +62,10 @@ def augmented(
     picture = recolour(example.picture, rng)
     if rng.random() < 0.15:
         picture = coarser(picture, rng.uniform(0.55, 0.9))
-    return resized(_with(example, degrade(picture, rng)), size_px)
+    example = replace(
+        example, picture=degrade(picture, rng), difference=roughened(example.difference, rng)
+    )
+    return resized(example, size_px)
 
 
 def scale_of(
@@ -95,11 +108,12 @@ def mirrored(example: Example) -> Example:
     """Left and right exchanged."""
     width = example.picture.shape[1]
     boxes = example.boxes[:, [2, 1, 0, 3]] * np.array([-1, 1, -1, 1], np.float32)
-    return Example(
+    difference = example.difference
+    return replace(
+        example,
         picture=np.ascontiguousarray(example.picture[:, ::-1]),
         boxes=boxes + np.array([width, 0, width, 0], np.float32),
-        labels=example.labels,
-        ignored=example.ignored,
+        difference=None if difference is None else np.ascontiguousarray(difference[:, ::-1]),
     )
 
 
@@ -228,6 +242,4 @@ def coarser(picture: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
 
 
 def _with(example: Example, picture: NDArray[np.uint8]) -> Example:
-    return Example(
-        picture=picture, boxes=example.boxes, labels=example.labels, ignored=example.ignored
-    )
+    return replace(example, picture=picture)

@@ -14,6 +14,7 @@ from torch.utils.data import DataLoader, Dataset
 from operators.saliency.augment import BALL_LABEL, augment
 from operators.saliency.crops import augmented
 from operators.saliency.example import CONTEXT_PX, Example, resized, sides_of
+from operators.saliency.movement import KNOWN_SHARE, unpacked
 from operators.saliency.pasting import Bank
 from operators.saliency.stills import Stills
 from operators.training.arrays import read
@@ -32,10 +33,19 @@ class Batch:
     boxes: Tensor  # (B, M, 4) xyxy, input pixels
     labels: Tensor  # (B, M) index into NAMES, ANYONE, or -1: none
     ignored: Tensor  # (B, M) bool: too hidden to count
+    # (B, 1, H, W) int8: half of the levels by which brightness changed; 0 where that is not known
+    difference: Tensor
 
     def to(self, device: torch.device) -> "Batch":
         """The same on a device."""
         return Batch(**{name: moved(values, device) for name, values in vars(self).items()})
+
+    def inputs(self, channels: int) -> Tensor:
+        """What a network of 3 or 4 channels gets: RGB 0..1, and the difference -1..1."""
+        pictures = self.pictures.float() / 255
+        if channels == pictures.shape[1]:
+            return pictures
+        return torch.cat([pictures, self.difference.float() * (2 / 255)], 1)
 
 
 class Rendered(Dataset[Example]):
@@ -67,15 +77,20 @@ class Rendered(Dataset[Example]):
             self._order = np.random.default_rng([self._seed, epoch]).permutation(len(self))
             self._epoch = epoch
         rng = np.random.default_rng([self._seed, epoch, step])
-        return augment(self.plain(int(self._order[step])), rng, self._raw_share)
+        plain = self.plain(int(self._order[step]))
+        if rng.random() > KNOWN_SHARE:  # as the first picture of a stream
+            plain = replace(plain, difference=None)
+        return augment(plain, rng, self._raw_share)
 
     def plain(self, index: int) -> Example:
         """The picture as rendered."""
         scene, row = self._places[index]
         pictures, truth = self._scenes[scene]
         rows = slice(truth["first"][row], truth["first"][row + 1])
+        picture, difference = unpacked(pictures[row])
         return Example(
-            picture=np.array(pictures[row]),
+            picture=picture,
+            difference=difference,
             boxes=truth["boxes"][rows],
             labels=truth["labels"][rows],
             ignored=truth["ignored"][rows],
@@ -180,12 +195,16 @@ def collate(examples: list[Example]) -> Batch:
     top = (height - high) // 2
     count, most = len(examples), max(1, *(len(e.labels) for e in examples))
     pictures = np.full((count, height, width, 3), FILL, np.uint8)
+    difference = np.zeros((count, 1, height, width), np.int8)
     boxes = np.zeros((count, most, 4), np.float32)
     labels = np.full((count, most), -1, np.int64)
     ignored = np.zeros((count, most), np.bool_)
     for row, item in enumerate(examples):
         n = len(item.labels)
         pictures[row, top : top + high] = item.picture
+        if item.difference is not None:
+            halves = np.clip(np.rint(item.difference / 2), -127, 127)
+            difference[row, 0, top : top + high] = halves
         boxes[row, :n] = item.boxes + np.array([0, top, 0, top], np.float32)
         labels[row, :n], ignored[row, :n] = item.labels, item.ignored
     return Batch(
@@ -193,6 +212,7 @@ def collate(examples: list[Example]) -> Batch:
         boxes=torch.from_numpy(boxes),
         labels=torch.from_numpy(labels),
         ignored=torch.from_numpy(ignored),
+        difference=torch.from_numpy(difference),
     )
 
 

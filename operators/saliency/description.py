@@ -21,6 +21,7 @@ from pipeline.wording import shown
 
 Format = Literal["auto", "yolo", "obb", "yolox", "yolox_decoded", "end2end"]
 TASKS = ("", "detect", "obb")
+DIFFERENCE = "difference"  # key of the metadata
 MOST_PX = 8192  # of a side of the input
 LONGEST_TEXT = 200  # characters of `trained_on` and `domain`
 T = TypeVar("T")
@@ -71,6 +72,7 @@ class Description:
     domain: str = ""
     task: str = ""
     stride_px: int = 32
+    difference: bool = False  # whether a fourth channel is what changed since the frame before
     places: Mapping[str, str] = field(default_factory=dict)  # where a field is from, for an error
 
 
@@ -104,6 +106,7 @@ def of_metadata(path: Path, metadata: Mapping[str, str]) -> Description:
         domain=metadata.get("domain", ""),
         task=task,
         stride_px=take("stride", _stride, 32),
+        difference=take(DIFFERENCE, _yes, False),
         places={"names": f"{path}: metadata names"},
     )
 
@@ -179,6 +182,12 @@ def _size(value: Value) -> tuple[int, int]:
         raise ValueError(f"expected height and width, got {shown(value)}")
     check_size((sides[1], sides[0]))
     return sides[1], sides[0]
+
+
+def _yes(value: Value) -> bool:
+    if value is not True:
+        raise ValueError(f"expected True or nothing, got {shown(value)}")
+    return True
 
 
 def _stride(value: Value) -> int:

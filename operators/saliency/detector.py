@@ -1,5 +1,7 @@
 """A detector as an ONNX file: RGB picture in, objects and a feature map out.
 
+Some read what changed since the frame before as well (difference.py).
+
 The file, a side file and the settings say together what the network's input and output are.
 """
 
@@ -52,8 +54,9 @@ class Detector:
     """A network together with what is known of it.
 
     `names` are the reported classes, `size_px` is width and height of the input, `channels` the
-    length of features. Raises `WeightsError` for a file that is no detector and for what
-    contradicts it, `SettingsError` for settings that do.
+    length of features; `reads_difference` tells whether `look` needs what changed. Raises
+    `WeightsError` for a file that is no detector and for what contradicts it, `SettingsError` for
+    settings that do.
     """
 
     def __init__(self, settings: "SaliencySettings") -> None:
@@ -63,10 +66,12 @@ class Detector:
         self.known = described(self.path, self.network.metadata)
         self.input, self.size_px = _input_of(self.network, settings, self.known)
         # whether other settings may ask for another size
+        self.reads_difference = self.known.difference
         self.open_sides = any(isinstance(n, str) for n in self.network.inputs[self.input][2:])
         size_px = self.size_px
         # one run on an empty picture tells the shapes of exports with open sides
-        blank = np.zeros((1, 3, size_px[1], size_px[0]), np.float32)
+        planes = 4 if self.reads_difference else 3
+        blank = np.zeros((1, planes, size_px[1], size_px[0]), np.float32)
         shapes = {name: a.shape for name, a in self.network({self.input: blank}).items()}
         self.output = next(iter(shapes))
         shape = shapes[self.output]
@@ -82,12 +87,19 @@ class Detector:
         self._grid: Grid | None = yolox_grid(*size_px) if self.kind == "yolox" else None
         raw = self.kind in ("yolox", "yolox_decoded")
         self._box = Letterbox(
-            *size_px, scale=1 if raw else 1 / 255, bgr=raw, corner=raw, keep=self.open_sides
-        )
+            *size_px, scale=1 if raw else 1 / 255, bgr=raw, corner=raw, keep=self.open_sides,
+            difference=self.reads_difference,
+        )  # fmt: skip
 
-    def look(self, picture: NDArray[np.uint8]) -> tuple[Candidates, Placement, Array | None]:
-        """Objects in input pixels with reported classes, the placement and the feature map."""
-        placement = self._box.put(picture)
+    def look(
+        self, picture: NDArray[np.uint8], difference: NDArray[np.int16] | None = None
+    ) -> tuple[Candidates, Placement, Array | None]:
+        """Objects in input pixels with reported classes, the placement and the feature map.
+
+        `difference` (h, w): levels by which the picture changed, for a network that reads them;
+        none where that is not known.
+        """
+        placement = self._box.put(picture, difference)
         outputs = self.network({self.input: self._box.tensor})
         found = self._decoded(outputs[self.output][0])
         kept = suppress(found, self.settings.nms_iou, agnostic=self.settings.class_agnostic)
@@ -147,8 +159,9 @@ def _input_of(
         raise WeightsError(f"{path}: expected one input, got {', '.join(network.inputs) or 'none'}")
     name, shape = next(iter(network.inputs.items()))
     batch = shape[0] if shape and isinstance(shape[0], int) else 1
-    if len(shape) != 4 or shape[1] != 3 or batch != 1:
-        raise WeightsError(f"{path}: expected an input (1, 3, height, width), got {shape}")
+    planes = 4 if known.difference else 3
+    if len(shape) != 4 or shape[1] != planes or batch != 1:
+        raise WeightsError(f"{path}: expected an input (1, {planes}, height, width), got {shape}")
     if (kind := network.input_types[name]) not in INPUT_TYPES:
         raise WeightsError(f"{path}: expected an input of {' or '.join(INPUT_TYPES)}, got {kind}")
     fixed = tuple(side if isinstance(side, int) and side > 0 else 0 for side in shape[:1:-1])

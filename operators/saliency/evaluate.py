@@ -27,6 +27,7 @@ from operators.saliency.judging import (
     best_threshold,
     find_hits,
 )
+from operators.saliency.movement import frame_before
 from operators.saliency.render import FULL_PX, RATE_HZ, example, moments
 from operators.saliency.saliency import SHIPPED, Detector, Saliency, SaliencySettings
 from operators.saliency.stills import stills
@@ -58,7 +59,15 @@ def collect(
     for seq, item in enumerate(examples):
         height_px, width_px = item.picture.shape[:2]
         seen = shrunk(item.picture, side_share)
-        frame = Frame(header=header(seq), pixels=seen, window=(0, 0, width_px, height_px))
+        window = (0, 0, width_px, height_px)
+        operator.on_stream(header(2 * seq))  # the next example shows something else
+        if (before := frame_before(item)) is not None:
+            earlier = Frame(
+                header=header(2 * seq), pixels=shrunk(before, side_share), window=window,
+                pixel_format="grey8",
+            )  # fmt: skip
+            executor.call({"frame": earlier})
+        frame = Frame(header=header(2 * seq + 1), pixels=seen, window=window)
         found = executor.call({"frame": frame})["out"]
         assert isinstance(found, Detections)
         for key in present:

@@ -1,6 +1,6 @@
 """What the detector learns from: one context picture and the objects in it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -34,6 +34,8 @@ class Example:
     boxes: NDArray[np.float32]  # (n, 4) xyxy, its pixels
     labels: NDArray[np.int64]  # (n,) index into NAMES, or ANYONE
     ignored: NDArray[np.bool_]  # (n,) too hidden to count
+    # (h, w) brightness minus that of the frame before, in levels; None: there is no frame before
+    difference: NDArray[np.float32] | None = None
 
 
 def resized(example: Example, size_px: tuple[int, int]) -> Example:
@@ -43,9 +45,12 @@ def resized(example: Example, size_px: tuple[int, int]) -> Example:
         return example
     how = cv2.INTER_AREA if width > size_px[0] else cv2.INTER_LINEAR
     gain = np.array([size_px[0] / width, size_px[1] / height] * 2, np.float32)
-    return Example(
+    difference = example.difference
+    if difference is not None:
+        difference = np.asarray(cv2.resize(difference, size_px, interpolation=how), np.float32)
+    return replace(
+        example,
         picture=np.asarray(cv2.resize(example.picture, size_px, interpolation=how), np.uint8),
         boxes=example.boxes * gain,
-        labels=example.labels,
-        ignored=example.ignored,
+        difference=difference,
     )

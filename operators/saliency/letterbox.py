@@ -1,4 +1,7 @@
-"""Fit a picture of any size into a network's input: (h, w[, 3]) uint8 -> (1, 3, H, W) float32."""
+"""Fit a picture of any size into a network's input: (h, w[, 3]) uint8 -> (1, 3, H, W) float32.
+
+A network that reads what changed since the frame before has it in a fourth plane.
+"""
 
 from dataclasses import dataclass
 
@@ -33,18 +36,23 @@ class Letterbox:
         corner: bool,
         fill: int = 114,
         keep: bool = False,
+        difference: bool = False,
     ) -> None:
         self._scale = np.float32(scale)
         self._order = (2, 1, 0) if bgr else (0, 1, 2)
         self._corner, self._keep = corner, keep
         self._fill = np.float32(fill * scale)
-        self.tensor = np.full((1, 3, height_px, width_px), self._fill, np.float32)
+        self.tensor = np.full(
+            (1, 4 if difference else 3, height_px, width_px), self._fill, np.float32
+        )
         self._source: tuple[int, ...] = ()
         self._placement = Placement(gain=1, left_px=0, top_px=0, width_px=0, height_px=0)
         self._planes: list[NDArray[np.uint8]] = []
 
-    def put(self, picture: NDArray[np.uint8]) -> Placement:
-        """Write one RGB or grey picture into `tensor`."""
+    def put(
+        self, picture: NDArray[np.uint8], difference: NDArray[np.int16] | None = None
+    ) -> Placement:
+        """Write one RGB or grey picture, and (h, w) the levels by which it changed."""
         if picture.shape != self._source:
             self._arrange(picture)
         p = self._placement
@@ -56,7 +64,10 @@ class Letterbox:
         cv2.split(picture, self._planes)
         rows = slice(p.top_px, p.top_px + p.height_px)
         columns = slice(p.left_px, p.left_px + p.width_px)
-        for channel, target in zip(self._order, self.tensor[0, :, rows, columns], strict=True):
+        planes = self.tensor[0, :, rows, columns]
+        if len(planes) > 3:
+            _put_difference(difference, planes[3])
+        for channel, target in zip(self._order, planes[:3], strict=True):
             plane = self._planes[channel if len(self._planes) == 3 else 0]
             np.multiply(plane, self._scale, out=target)
         return p
@@ -69,7 +80,19 @@ class Letterbox:
         )
         shape = (self._placement.height_px, self._placement.width_px)
         self._planes = [np.empty(shape, np.uint8) for _ in range(3 if picture.ndim == 3 else 1)]
-        self.tensor[:] = self._fill
+        self.tensor[:, :3] = self._fill
+        self.tensor[:, 3:] = 0
+
+
+def _put_difference(difference: NDArray[np.int16] | None, target: NDArray[np.float32]) -> None:
+    """Write levels of brightness as shares of the greatest one, -1..1; 0 where none are known."""
+    if difference is None:
+        target[:] = 0
+        return
+    if difference.shape != target.shape:
+        how = cv2.INTER_AREA if target.shape[0] < difference.shape[0] / 2 else cv2.INTER_LINEAR
+        difference = cv2.resize(difference, target.shape[::-1], interpolation=how)  # type: ignore[assignment]
+    np.multiply(difference, np.float32(1 / 255), out=target)
 
 
 def place(

@@ -1,5 +1,8 @@
 """The shipped detector's network: pictures (B, 3, H, W) -> people at strides 8-32, a ball at 4.
 
+Made with `difference` it takes a fourth channel, what changed since the frame before, which only
+the ball's head reads: people and features stay what they are without it.
+
 Own design from published ideas: cross-stage blocks (Wang et al., CSPNet 2019) in plain 3x3
 convolutions with ReLU, which ONNX Runtime fuses; a top-down and a bottom-up neck (Lin et al. 2017,
 Liu et al. 2018); decoupled anchor-free heads that give distances to the box's sides (Tian et al.,
@@ -137,11 +140,25 @@ class PeopleHead(nn.Module):
         return self.scores(x), self.sides(x)
 
 
+class Changed(nn.Module):
+    """What changed since the frame before (B, 1, H, W) -> its part in the ball's head, stride 4."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.stem = nn.Sequential(conv(1, 16, 3, 2), conv(16, 32, 3, 2))
+        self.join = nn.Conv2d(32, width, 1, bias=False)
+        nn.init.zeros_(self.join.weight)  # a network that knew no difference goes on as it was
+
+    def forward(self, difference: Tensor) -> Tensor:
+        return self.join(self.stem(difference))
+
+
 class BallHead(nn.Module):
     """Stride-4 map with its detail, and the neck's stride-8 map with its meaning -> heat, place."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, difference: bool) -> None:
         super().__init__()
+        self.changed = Changed(32) if difference else None
         self.detail = conv(48, 32, 1)
         self.meaning = conv(FEATURES, 32, 1)
         self.body = nn.Sequential(conv(32, 32), conv(32, 32))
@@ -149,24 +166,28 @@ class BallHead(nn.Module):
         self.place = nn.Conv2d(32, 4, 1)
         nn.init.constant_(self.heat.bias, -4.6)
 
-    def forward(self, x4: Tensor, n8: Tensor) -> tuple[Tensor, Tensor]:
-        x = self.body(self.detail(x4) + _double(self.meaning(n8)))
+    def forward(self, x4: Tensor, n8: Tensor, difference: Tensor) -> tuple[Tensor, Tensor]:
+        x = self.detail(x4) + _double(self.meaning(n8))
+        if self.changed is not None:
+            x = x + self.changed(difference)
+        x = self.body(x)
         return self.heat(x), self.place(x)
 
 
 class DetectorNet(nn.Module):
     """The whole network; `forward` gives raw outputs, `Exported` decodes them."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, difference: bool = False) -> None:
         super().__init__()
+        self.channels = 4 if difference else 3
         self.backbone = Backbone()
         self.neck = Neck()
         self.heads = nn.ModuleList([PeopleHead(64, 48), PeopleHead(96, 64), PeopleHead(128, 64)])
-        self.ball = BallHead()
+        self.ball = BallHead(difference=difference)
 
     def forward(self, pictures: Tensor) -> Raw:
-        """Pictures (B, 3, H, W) RGB 0..1."""
-        x4, x8, x16, x32 = self.backbone(pictures)
+        """Pictures (B, 3, H, W) RGB 0..1, or (B, 4, H, W) with the difference, -1..1."""
+        x4, x8, x16, x32 = self.backbone(pictures[:, :3])
         maps = self.neck(x8, x16, x32)
         scores, boxes = [], []
         for head, x, stride in zip(self.heads, maps, STRIDES, strict=True):
@@ -174,7 +195,7 @@ class DetectorNet(nn.Module):
             centres = cell_centres(x.shape[2], x.shape[3], stride, x.device)
             scores.append(logits.flatten(2).transpose(1, 2))
             boxes.append(_from_sides(centres, sides.flatten(2).transpose(1, 2).float(), stride))
-        heat, place = self.ball(x4, maps[0])
+        heat, place = self.ball(x4, maps[0], pictures[:, 3:])
         return Raw(
             scores=torch.cat(scores, 1).float(),
             boxes=torch.cat(boxes, 1),

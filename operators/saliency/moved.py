@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from operators.saliency.decode import Candidates, suppress
 from operators.saliency.detector import FEATURE_STRIDE_PX, Detector
+from operators.saliency.difference import FrameDifference
 from operators.saliency.letterbox import Placement
 from operators.saliency.roi_align import roi_align
 from operators.saliency.saliency import Saliency, SaliencySettings, answer, nothing, rgb, to_sensor
@@ -74,10 +75,12 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
     def open(self) -> None:
         self._detector = Detector(self.settings)
         self._shape: tuple[int, ...] = ()
+        self._before = FrameDifference(fixed=True)
 
     def on_stream(self, header: Header) -> None:
         """Forget all tiles: another stream shows something else."""
         self._shape = ()
+        self._before.forget()
 
     def summary(self) -> Mapping[str, Any]:
         """What the network runs on."""
@@ -100,9 +103,10 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         picture = rgb(frame)
         if picture.shape != self._shape:
             self._arrange(picture)
+        difference = self._before.of(picture) if self._detector.reads_difference else None
         due = self._changes.due(picture, self.settings.tiles, self.settings.refresh_frames)
         for tile in due:
-            self._seen[tile] = look(self._detector, picture, self._tiles, tile)
+            self._seen[tile] = look(self._detector, picture, difference, self._tiles, tile)
             self._changes.looked(tile)
         found, features = together(self._seen, self.settings, self._detector.channels)
         whole = Placement(
@@ -119,11 +123,15 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         self._seen: dict[int, Seen] = {}
 
 
-def look(detector: Detector, picture: NDArray[np.uint8], tiles: Grid, tile: int) -> Seen:
-    """What a tile shows of the part that it owns."""
+def look(
+    detector: Detector, picture: NDArray[np.uint8], difference: NDArray[np.int16] | None,
+    tiles: Grid, tile: int,
+) -> Seen:  # fmt: skip
+    """What a tile shows of the part that it owns; `difference` as `Detector.look` takes it."""
     left, top, right, bottom = tiles.windows[tile]
     part = np.ascontiguousarray(picture[top:bottom, left:right])
-    found, at, features = detector.look(part)
+    changed = None if difference is None else difference[top:bottom, left:right]
+    found, at, features = detector.look(part, changed)
     appearance = np.zeros((len(found.scores), 0), np.float32)
     if features is not None:
         appearance = roi_align(features, found.boxes, stride_px=FEATURE_STRIDE_PX)

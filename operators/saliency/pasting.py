@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.augment import BALL_LABEL, BALL_TO_PERSON, SMEAR, SMEARED_SHARE, somewhere
+from operators.saliency.augment import BALL_LABEL, BALL_TO_PERSON, somewhere
 from operators.saliency.example import NAMES, Example
+from operators.saliency.movement import ball_movement, moved, person_movement
 
 Array = NDArray[np.float32]
 REFEREE_LABEL = NAMES.index("referee")
@@ -22,6 +23,9 @@ LEAST_DIFFERENCE = 26.0  # levels of the most different channel
 PERSON_COVER, BALL_COVER = (0.18, 0.8), (0.35, 0.9)  # share of the box that stands out
 MOST_GAIN = 1.3  # of a copy: a more enlarged one is blurred
 MOST_HIDDEN = 0.5  # share of an object that a copy may cover
+MOST_IN_CROWD = 0.75  # the same where people stand before one another, as at a free kick
+HARDLY_SEEN = 0.85  # share of a person's box behind other boxes from which it need not be found
+HELD_SHARE = 0.15  # of the balls pasted: at somebody's hands, partly behind them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +64,57 @@ def paste_people(example: Example, bank: Bank, rng: np.random.Generator) -> Exam
         high, wide = piece.alpha.shape
         x = (near[0] + near[2]) / 2 + rng.normal() * 4 * tall
         y = feet + rng.normal() * 0.5 * tall - high
-        example = _laid(example, piece, int(x - wide / 2), int(y), int(still.labels[row]), rng)
+        shift = person_movement(tall, rng)
+        label = int(still.labels[row])
+        example = _laid(example, piece, int(x - wide / 2), int(y), label, rng, shift)
     return example
+
+
+def paste_crowd(example: Example, bank: Bank, rng: np.random.Generator) -> Example:
+    """Crowd up to five people around one who is there, before and behind one another.
+
+    Half of the people of a broadcast view are covered to a quarter or more; few stills show a
+    wall at a free kick, or the box at a corner.
+    """
+    people = np.flatnonzero((example.labels != BALL_LABEL) & ~example.ignored)
+    if not len(people) or rng.random() > 0.35:
+        return example
+    known = len(example.labels)
+    near = example.boxes[rng.choice(people)]
+    tall, wide_px = float(near[3] - near[1]), float(near[2] - near[0])
+    feet = np.sort(near[3] + rng.normal(0, 0.12, int(rng.integers(2, 6))) * tall)
+    for low in feet.tolist():  # who stands nearer covers those behind
+        taken = _chosen(bank, rng, _people)
+        if taken is None:
+            continue
+        still, row = taken
+        own = max(float(still.boxes[row][3] - still.boxes[row][1]), 1.0)
+        piece = cutout(still, row, tall * rng.uniform(0.92, 1.08) / own, PERSON_COVER)
+        if piece is None:
+            continue
+        high, wide = piece.alpha.shape
+        x = (near[0] + near[2]) / 2 + rng.uniform(-1.8, 1.8) * wide_px
+        shift = person_movement(tall, rng)
+        label = int(still.labels[row])
+        example = _laid(
+            example, piece, int(x - wide / 2), int(low - high), label, rng, shift, MOST_IN_CROWD
+        )
+    return without_covered(example, known)
+
+
+def without_covered(example: Example, known: int) -> Example:
+    """The example in which who is hardly seen behind those from row `known` on does not count."""
+    height, width = example.picture.shape[:2]
+    edges = np.clip(np.round(example.boxes).astype(int), 0, [width, height, width, height])
+    covered = np.zeros((height, width), np.bool_)
+    ignored = example.ignored.copy()
+    for row in reversed(range(len(edges))):  # the last one laid is before all others
+        left, top, right, bottom = edges[row].tolist()
+        part = covered[top:bottom, left:right]
+        ignored[row] |= bool(part.size and part.mean() > HARDLY_SEEN)
+        if row >= known:
+            part[:] = True
+    return replace(example, ignored=ignored)
 
 
 def paste_at_boards(example: Example, bank: Bank, rng: np.random.Generator) -> Example:
@@ -90,7 +143,8 @@ def paste_at_boards(example: Example, bank: Bank, rng: np.random.Generator) -> E
         high, wide = piece.alpha.shape
         feet = edge + tall * rng.uniform(0.0, 0.4)
         label = int(still.labels[row])
-        example = _laid(example, piece, int(x - wide / 2), int(feet - high), label, rng)
+        shift = person_movement(tall, rng)
+        example = _laid(example, piece, int(x - wide / 2), int(feet - high), label, rng, shift)
     return example
 
 
@@ -130,22 +184,44 @@ def paste_balls(example: Example, bank: Bank, rng: np.random.Generator) -> Examp
         )
         if piece is None:
             continue
-        if rng.random() < SMEARED_SHARE:
-            piece = smeared(piece, diameter * rng.exponential(SMEAR), rng.uniform(0, 2 * np.pi))
+        smear, shift = ball_movement(diameter, rng)
         x, y = somewhere(example, rng)
+        if rng.random() < HELD_SHARE:
+            x, y = at_hands(people[rng.integers(len(people))], rng)
+            piece, shift = half_covered(piece, rng), person_movement(tall, rng)
+        elif smear.any():
+            piece = smeared(piece, smear)
         high, wide = piece.alpha.shape
-        example = _laid(example, piece, int(x - wide / 2), int(y - high / 2), BALL_LABEL, rng)
+        left, top = int(x - wide / 2), int(y - high / 2)
+        example = _laid(example, piece, left, top, BALL_LABEL, rng, shift)
     return example
 
 
-def smeared(piece: Cutout, length_px: float, angle_rad: float) -> Cutout:
-    """The object as an exposure sees it that moves by `length_px` meanwhile."""
-    around = round(length_px / 2) + 1
+def at_hands(person: Array, rng: np.random.Generator) -> tuple[float, float]:
+    """Where somebody (xyxy) holds a ball: before the body or beside it, between head and knees."""
+    left, top, right, bottom = (float(side) for side in person)
+    x = rng.uniform(left - 0.15 * (right - left), right + 0.15 * (right - left))
+    return x, top + (bottom - top) * rng.uniform(0.2, 0.7)
+
+
+def half_covered(piece: Cutout, rng: np.random.Generator) -> Cutout:
+    """The object with up to a half of it behind something that bounds it by a straight line."""
+    high, wide = piece.alpha.shape
+    y, x = np.mgrid[:high, :wide].astype(np.float32)
+    angle, reach = rng.uniform(0, 2 * np.pi), max(high, wide) / 2
+    side = (x - (wide - 1) / 2) * np.cos(angle) + (y - (high - 1) / 2) * np.sin(angle)
+    seen = np.clip(side + reach * rng.uniform(0.0, 0.7) + 0.5, 0, 1).astype(np.float32)
+    return Cutout(picture=piece.picture, alpha=piece.alpha * seen)
+
+
+def smeared(piece: Cutout, smear_px: Array) -> Cutout:
+    """The object as an exposure sees it that moves by `smear_px` (x, y) meanwhile."""
+    around = round(float(np.hypot(*smear_px)) / 2) + 1
     side = 2 * around + 1
     kernel = np.zeros((side, side), np.float32)
     for part in np.linspace(-0.5, 0.5, 4 * side):
-        x, y = around + length_px * part * np.cos([angle_rad, angle_rad - np.pi / 2])
-        kernel[round(y), round(x)] += 1 / (4 * side)
+        x, y = around + smear_px * part
+        kernel[round(float(y)), round(float(x))] += 1 / (4 * side)
     alpha = np.pad(piece.alpha, around)
     light = piece.picture.astype(np.float32) * piece.alpha[..., None]
     light = np.pad(light, ((around, around), (around, around), (0, 0)))
@@ -202,9 +278,13 @@ def cutout(still: Example, row: int, gain: float, cover: tuple[float, float]) ->
 
 
 def _laid(
-    example: Example, piece: Cutout, left: int, top: int, label: int, rng: np.random.Generator
-) -> Example:
-    """The example with a piece laid over it, unless that leaves the picture or hides an object."""
+    example: Example, piece: Cutout, left: int, top: int, label: int, rng: np.random.Generator,
+    shift_px: Array, most_hidden: float = MOST_HIDDEN,
+) -> Example:  # fmt: skip
+    """The example with a piece laid over it, unless that leaves the picture or hides an object.
+
+    `shift_px` (x, y): how far it moved since the frame before.
+    """
     height, width = example.picture.shape[:2]
     high, wide = piece.alpha.shape
     box = np.array([left, top, left + wide, top + high], np.float32)
@@ -213,7 +293,7 @@ def _laid(
     low, far = np.maximum(example.boxes[:, :2], box[:2]), np.minimum(example.boxes[:, 2:], box[2:])
     common = np.clip(far - low, 0, None).prod(1)
     own = (example.boxes[:, 2:] - example.boxes[:, :2]).prod(1)
-    if label != BALL_LABEL and (common > MOST_HIDDEN * np.maximum(own, 1)).any():
+    if label != BALL_LABEL and (common > most_hidden * np.maximum(own, 1)).any():
         return example
     picture = example.picture.copy()
     under = picture[top : top + high, left : left + wide].astype(np.float32)
@@ -232,4 +312,5 @@ def _laid(
         boxes=np.concatenate([example.boxes, tight]),
         labels=np.append(example.labels, label),
         ignored=np.append(example.ignored, False),
+        difference=moved(example.difference, example.picture, picture, shift_px),
     )

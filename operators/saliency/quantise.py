@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from operators.saliency.description import described
 from operators.saliency.detector import Detector
 from operators.saliency.letterbox import Letterbox
+from operators.saliency.movement import in_motion
 from operators.saliency.saliency import SaliencySettings
 from operators.saliency.stills import stills
 from operators.training.command_line import count, in_a_sentence
@@ -30,6 +31,7 @@ onnx: Any = LateModule("onnx")
 quantization: Any = LateModule("onnxruntime.quantization")
 prepared: Any = LateModule("onnxruntime.quantization.shape_inference")
 # give what is decoded; and the first, whose three channels are too few to gain by it
+Picture = tuple[NDArray[np.uint8], NDArray[np.int16] | None]  # and what changed in it
 FLOATING = ("scores.1/Conv", "sides.1/Conv", "heat/Conv", "place/Conv", "stem.0.0/Conv")
 BETWEEN = ("Add", "Concat", "MaxPool", "Relu", "Resize")  # between convolutions, in the network
 
@@ -37,16 +39,19 @@ BETWEEN = ("Add", "Concat", "MaxPool", "Relu", "Resize")  # between convolutions
 class Pictures:
     """The network's inputs, one after the other, as a calibration asks for them."""
 
-    def __init__(self, pictures: Iterator[NDArray[np.uint8]], input_px: tuple[int, int]) -> None:
+    def __init__(self, pictures: Iterator[Picture], detector: Detector) -> None:
         self._pictures = pictures
-        self._box = Letterbox(*input_px, scale=1 / 255, bgr=False, corner=False)
+        self._box = Letterbox(
+            *detector.size_px, scale=1 / 255, bgr=False, corner=False,
+            difference=detector.reads_difference,
+        )  # fmt: skip
 
     def get_next(self) -> dict[str, NDArray[np.float32]] | None:
         """The next input; none at the end."""
         picture = next(self._pictures, None)
         if picture is None:
             return None
-        self._box.put(picture)
+        self._box.put(*picture)
         return {"images": self._box.tensor.copy()}
 
 
@@ -62,7 +67,7 @@ def quantised_nodes(path: Path) -> list[str]:
     ]
 
 
-def quantise(path: Path, pictures: Iterator[NDArray[np.uint8]], out: Path) -> None:
+def quantise(path: Path, pictures: Iterator[Picture], out: Path) -> None:
     """Write the network at `path` with eight bits, its metadata kept."""
     detector = Detector(SaliencySettings(weights=str(path), threads=1))
     with tempfile.TemporaryDirectory() as folder:
@@ -71,7 +76,7 @@ def quantise(path: Path, pictures: Iterator[NDArray[np.uint8]], out: Path) -> No
         quantization.quantize_static(
             ready,
             out,
-            Pictures(pictures, detector.size_px),
+            Pictures(pictures, detector),
             quant_format=quantization.QuantFormat.QDQ,
             per_channel=True,
             activation_type=quantization.QuantType.QUInt8,
@@ -84,11 +89,17 @@ def quantise(path: Path, pictures: Iterator[NDArray[np.uint8]], out: Path) -> No
     onnx.save(model, out)
 
 
-def training_pictures(folder: Path, most: int) -> Iterator[NDArray[np.uint8]]:
-    """Well-spaced stills that a training sees; the letterbox shrinks them to the input."""
+def training_pictures(folder: Path, most: int) -> Iterator[Picture]:
+    """Well-spaced stills that a training sees, each with a frame before it.
+
+    The letterbox shrinks them to the input.
+    """
     found = stills(folder, without=HELD_OUT)
     files = found.files[:: max(1, len(found.files) // most)][:most]
-    yield from (found.example(file).picture for file in files)
+    for number, file in enumerate(files):
+        item = in_motion(found.example(file), np.random.default_rng(number))
+        changed = item.difference
+        yield item.picture, None if changed is None else changed.astype(np.int16)
 
 
 @in_a_sentence()

@@ -12,12 +12,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.datasets.sequence import span
 from drivers.datasets.soccernet import SoccerNetSequence
 from drivers.scenes.soccer import SoccerScene
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, FrameSource
+from operators.saliency.difference import FrameDifference
 from operators.saliency.example import CONTEXT_PX, NAMES, Example
+from operators.saliency.movement import packed
 from operators.training.arrays import outdated, write
 from operators.training.command_line import in_a_sentence
 from operators.training.identity import Identity, of_code
@@ -34,16 +37,26 @@ def example(source: FrameSource, index: int) -> Example:
     truth = source.truth(index)
     if truth is None:
         raise DriverError(f"frame {index}: expected a source that knows the truth, got none")
-    picture = cv2.resize(source.picture(index), CONTEXT_PX, interpolation=cv2.INTER_AREA)
+    picture = context(source, index)
     scale = np.array([CONTEXT_PX[i % 2] / source.size_px[i % 2] for i in range(4)], np.float32)
     known = np.array([label in CLASS_OF_ROLE for label in truth.labels], np.bool_)
     labels = [NAMES.index(CLASS_OF_ROLE[label]) for label in truth.labels if label in CLASS_OF_ROLE]
+    difference = FrameDifference()
+    if index:
+        difference.of(context(source, index - 1))
     return Example(
-        picture=np.asarray(picture, np.uint8),
+        picture=picture,
+        difference=difference.of(picture).astype(np.float32) if index else None,
         boxes=truth.boxes[known] * scale,
         labels=np.array(labels, np.int64),
         ignored=truth.visibility[known] < LEAST_VISIBLE,
     )
+
+
+def context(source: FrameSource, index: int) -> NDArray[np.uint8]:
+    """A picture of a source as the context shows it."""
+    small = cv2.resize(source.picture(index), CONTEXT_PX, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8)
 
 
 def moments(seed: int, count: int, span: int) -> list[int]:
@@ -58,7 +71,9 @@ def moments(seed: int, count: int, span: int) -> list[int]:
 
 def made_with(count: int, span: int) -> dict[str, str]:
     """What decides the pictures of a scene beside its seed."""
-    code = of_code("drivers.scenes.soccer", "operators.saliency.render")
+    code = of_code(
+        "drivers.scenes.soccer", "operators.saliency.render", "operators.saliency.difference"
+    )
     return code | {"moments": str(count), "span": str(span)}
 
 
@@ -102,7 +117,9 @@ def convert(footage: Path, frames: tuple[int, int], folder: Path) -> int:
 
 
 def _write(examples: Sequence[Example], path: Path, made: Identity) -> None:
-    np.save(path.with_suffix(".npy"), np.stack([e.picture for e in examples]))
+    none = np.zeros(CONTEXT_PX[::-1], np.float32)
+    kept = [packed(e.picture, none if e.difference is None else e.difference) for e in examples]
+    np.save(path.with_suffix(".npy"), np.stack(kept))
     truth = {
         "first": np.cumsum([0, *(len(e.labels) for e in examples)]),
         "boxes": np.concatenate([e.boxes for e in examples]),

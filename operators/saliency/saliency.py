@@ -15,9 +15,10 @@ from operators.saliency.advice import advice
 from operators.saliency.decode import Candidates
 from operators.saliency.description import Format, check_size, side_file
 from operators.saliency.detector import FEATURE_STRIDE_PX, SHIPPED, Detector
+from operators.saliency.difference import FrameDifference
 from operators.saliency.letterbox import Placement
 from operators.saliency.roi_align import roi_align
-from pipeline import Detections, Frame, Input, MessageError, Operator, SettingsError
+from pipeline import Detections, Frame, Header, Input, MessageError, Operator, SettingsError
 from pipeline.contract import SOURCE
 from pipeline.providers import NetworkSettings
 
@@ -93,6 +94,12 @@ class Saliency(Operator[SaliencySettings, Detections]):
 
     def open(self) -> None:
         self._detector = Detector(self.settings)
+        self._before = FrameDifference()
+        self._window: tuple[int, ...] = ()
+
+    def on_stream(self, header: Header) -> None:
+        """Forget the last picture: another stream shows something else."""
+        self._before.forget()
 
     def summary(self) -> Mapping[str, Any]:
         """What the network runs on."""
@@ -107,17 +114,27 @@ class Saliency(Operator[SaliencySettings, Detections]):
         return self._detector.network.provider
 
     def state(self) -> None:
-        """Nothing must survive: what changes is room for a picture."""
+        """Nothing must survive: a successor lacks what changed since one picture."""
 
     def on_frame(self, frame: Frame) -> Detections:
         detector = self._detector
         if not frame.pixels.size:
             return answer(frame, nothing(), np.zeros((0, 0), np.float32), detector)
-        found, placement, features = detector.look(rgb(frame))
+        picture = rgb(frame)
+        found, placement, features = detector.look(picture, self._difference(frame, picture))
         appearance = np.zeros((len(found.scores), 0), np.float32)
         if features is not None:
             appearance = roi_align(features, found.boxes, stride_px=FEATURE_STRIDE_PX)
         return answer(frame, to_sensor(found, placement, frame), appearance, detector)
+
+    def _difference(self, frame: Frame, picture: NDArray[np.uint8]) -> NDArray[np.int16] | None:
+        """What changed since the last picture of the same window, for a network that reads it."""
+        if not self._detector.reads_difference:
+            return None
+        if frame.window != self._window:  # a region of interest somewhere else
+            self._before.forget()
+            self._window = frame.window
+        return self._before.of(picture)
 
 
 def to_sensor(found: Candidates, placement: Placement, frame: Frame) -> Candidates:

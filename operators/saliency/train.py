@@ -33,6 +33,13 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:
         help="write detector.onnx here, with --width-px as trained, train nothing",
     )
     parser.add_argument("--init", type=Path, help="checkpoint or .onnx to begin with")
+    parser.add_argument(
+        "--difference", action="store_true",
+        help="give the ball's head what changed since the frame before",
+    )  # fmt: skip
+    parser.add_argument(
+        "--ball-only", action="store_true", help="train the ball's head and leave the rest"
+    )
     parser.add_argument("--compiled", action="store_true", help="compile first: needs g++")
     parser.add_argument("--device", default="auto", help=DEVICES)
     add_numbers(parser, TrainSettings)
@@ -52,7 +59,7 @@ def main(words: Sequence[str] | None = None) -> None:
     from operators.training import checkpoint
 
     if target is not None:
-        net = DetectorNet()
+        net = DetectorNet(difference=settings.difference)
         checkpoint.take(checkpoint.path_in(settings.out), {"mean": net})
         export(net, target / "detector.onnx", trained_on(settings), settings.width_px)
         return

@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from operators.saliency.data import Batch, Mixed, Real, Rendered, collate, rendered_in, stream
+from operators.saliency.description import DIFFERENCE
 from operators.saliency.example import DOMAIN, INPUT_PX, NAMES, Example, sides_of
 from operators.saliency.initial import from_onnx
 from operators.saliency.losses import losses
@@ -38,6 +39,7 @@ from pipeline.fleet.placement import file_digest
 PHASES = Phases("draw scenes", "train")
 # pictures of `width_px` over which an exported network is measured before training goes on
 CALIBRATION = 64
+BALL_PARTS = ("heat", "place")  # of the loss
 TRAIN_SEEDS = 10_000  # first seed of the training scenes; evaluate.py uses others
 
 
@@ -47,11 +49,12 @@ class Run(checkpoint.Progress):
     def __init__(self, settings: TrainSettings) -> None:
         torch.manual_seed(settings.seed)
         self.settings, self.device = settings, device_of(settings.device)
-        self.net = DetectorNet().to(self.device, memory_format=torch.channels_last)
-        self.mean = DetectorNet().to(self.device)
+        self.net = network(settings).to(self.device, memory_format=torch.channels_last)
+        self.mean = network(settings).to(self.device)
         self.mean.load_state_dict(self.net.state_dict())
+        learning = self.net.ball if settings.ball_only else self.net
         self.optimiser = torch.optim.AdamW(
-            groups(self.net, settings.decay), lr=settings.rate, betas=(0.9, 0.99)
+            groups(learning, settings.decay), lr=settings.rate, betas=(0.9, 0.99)
         )
         parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
         real = [file for folder in folders(settings) for file in folder.files]
@@ -73,6 +76,19 @@ class Run(checkpoint.Progress):
         else:
             checkpoint.take(init, {"mean": self.mean})
         self.net.load_state_dict(self.mean.state_dict())
+
+
+def network(settings: TrainSettings) -> DetectorNet:
+    """The network of a training, with random weights."""
+    return DetectorNet(difference=settings.difference)
+
+
+def learn(net: DetectorNet, *, ball_only: bool) -> None:
+    """Let a network learn, or its ball's head alone: what else it knows, norms too, stays."""
+    net.train(not ball_only)
+    net.requires_grad_(not ball_only)
+    net.ball.train()
+    net.ball.requires_grad_(True)
 
 
 def drawn(settings: TrainSettings) -> list[Path]:
@@ -129,7 +145,7 @@ def train(settings: TrainSettings) -> Run:
     )  # fmt: skip
     source = source_of(settings)
     run.begin(source)
-    run.net.train()
+    learn(run.net, ball_only=settings.ball_only)
     forward = torch.compile(run.net) if settings.compiled else run.net
     started = time.monotonic() - run.elapsed_s
     log = settings.out / "log.csv"
@@ -162,10 +178,11 @@ def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
     s, batch = run.settings, batch.to(run.device)
     for group in run.optimiser.param_groups:
         group["lr"] = warmed_cosine(run.step, peak=s.rate, warmup=s.warmup, steps=s.steps)
-    pictures = batch.pictures.float().div_(255)
     with torch.autocast(run.device.type, torch.bfloat16):
-        raw = forward(pictures)
+        raw = forward(batch.inputs(run.net.channels))
     parts = losses(raw, batch)
+    if s.ball_only:
+        parts = {name: part for name, part in parts.items() if name in BALL_PARTS}
     run.optimiser.zero_grad(set_to_none=True)
     torch.stack(list(parts.values())).sum().backward()
     torch.nn.utils.clip_grad_norm_(run.net.parameters(), 10.0)
@@ -196,7 +213,7 @@ def export(
     width, height = sides_of(width_px)[1]
     write(
         Exported(net),
-        {"images": torch.zeros(1, 3, height, width)},
+        {"images": torch.zeros(1, net.channels, height, width)},
         path,
         ("output", "features"),
         open_sides={
@@ -211,4 +228,5 @@ def export(
         format="yolo",
         domain=DOMAIN,
         trained_on=seen,
+        **({DIFFERENCE: "True"} if net.channels > 3 else {}),
     )

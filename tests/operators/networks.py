@@ -47,6 +47,38 @@ def constant_network(
     return str(path)
 
 
+def changing_network(path: Path, *, size_px: tuple[int, int] = (480, 288)) -> str:
+    """Write a detector that finds a ball in its input's middle, as surely as anything changed.
+
+    The score is the greatest change of brightness, where 1 is from black to white.
+    """
+    width_px, height_px = size_px
+    rest = np.zeros((1, 5, 64), np.float32)
+    rest[0, :4, 0] = (width_px / 2, height_px / 2, 8, 8)
+    none = np.zeros((1, 1, 63), np.float32)
+    weights = [
+        numpy_helper.from_array(array, name)
+        for name, array in {
+            "rest": rest, "none": none, "from": np.array([3]), "to": np.array([4]),
+            "axis": np.array([1]), "shape": np.array([1, 1, 1]),
+        }.items()
+    ]  # fmt: skip
+    nodes = [
+        helper.make_node("Slice", ["images", "from", "to", "axis"], ["changed"]),
+        helper.make_node("ReduceMax", ["changed"], ["most"], keepdims=0),
+        helper.make_node("Reshape", ["most", "shape"], ["score"]),
+        helper.make_node("Concat", ["score", "none"], ["scores"], axis=2),
+        helper.make_node("Concat", ["rest", "scores"], ["output"], axis=1),
+    ]
+    images = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 4, height_px, width_px))
+    output = helper.make_tensor_value_info("output", TensorProto.FLOAT, (1, 6, 64))
+    graph = helper.make_graph(nodes, "changing", [images], [output], weights)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    helper.set_model_props(model, {"names": "['player', 'ball']", "difference": "True"})
+    save_model(model, path)
+    return str(path)
+
+
 def counting_network(path: Path) -> str:
     """A network of whole numbers: (1, 3, 32, 32) bytes in, the same out."""
     sides = (1, 3, 32, 32)

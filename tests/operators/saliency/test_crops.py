@@ -25,13 +25,18 @@ from operators.saliency.pasting import (
     PERSON_COVER,
     Bank,
     Cutout,
+    at_hands,
     cutout,
     end_of_grass,
+    half_covered,
     paste_at_boards,
+    paste_crowd,
     paste_people,
     smeared,
+    without_covered,
 )
 from operators.saliency.stills import stills
+from pipeline.boxes import iou
 from tests.operators.training.labelled_stills import match_of_stills
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -223,7 +228,8 @@ def test_a_moving_object_is_as_much_light_over_a_longer_way(length: float, angle
     disc[2:7, 2:7] = 1
     ball = Cutout(picture=np.full((9, 9, 3), 240, np.uint8), alpha=disc)
 
-    found = smeared(ball, length, angle)
+    way = np.array([np.cos(angle), np.sin(angle)], np.float32)
+    found = smeared(ball, np.float32(length) * way)
 
     assert found.alpha.sum() == pytest.approx(disc.sum(), rel=1e-3)
     assert (found.picture[found.alpha > 0.05] >= 239).all()
@@ -256,6 +262,51 @@ def test_a_copied_person_has_a_tight_box_and_the_class_it_had(bank: Bank) -> Non
         assert red.mean() > 0.4
         assert (box >= 0).all()
         assert (box[2:] <= CONTEXT_PX).all()
+
+
+def test_people_of_a_crowd_cover_one_another(bank: Bank) -> None:
+    target = crop(still(), np.random.default_rng(5))
+
+    found = [paste_crowd(target, bank, np.random.default_rng(seed)) for seed in range(60)]
+
+    more = [f for f in found if len(f.labels) > len(target.labels)]
+    assert 5 < len(more) < 40
+    people = np.concatenate([f.boxes[len(target.labels) :] for f in more])
+    tall = target.boxes[0, 3] - target.boxes[0, 1]
+    assert np.abs((people[:, 3] - people[:, 1]) / tall - 1).max() < 0.3
+    covered = [iou(f.boxes[-1:], f.boxes[:-1]).max() for f in more]
+    assert np.mean(np.array(covered) > 0.1) > 0.3
+
+
+def test_who_is_hardly_seen_behind_others_does_not_count() -> None:
+    example = still()
+    behind = example.boxes[0]
+    beside = behind + np.array([40, 0, 40, 0], np.float32)
+    crowd = replace(
+        example,
+        boxes=np.vstack([example.boxes, behind + 1, beside]),
+        labels=np.append(example.labels, [PLAYER, PLAYER]),
+        ignored=np.append(example.ignored, [False, False]),
+    )
+
+    found = without_covered(crowd, len(example.labels))
+
+    assert found.ignored.tolist() == [True] + [False] * 11
+
+
+@given(SEEDS)
+def test_a_held_ball_is_at_somebodys_body_and_half_of_it_is_seen(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    person = np.array([100, 50, 120, 110], np.float32)
+    disc = np.pad(np.ones((7, 7), np.float32), 1)
+    ball = Cutout(picture=np.full((9, 9, 3), 240, np.uint8), alpha=disc)
+
+    x, y = at_hands(person, rng)
+    found = half_covered(ball, rng)
+
+    assert 97 <= x <= 123
+    assert 62 <= y <= 92
+    assert 0.35 * disc.sum() < found.alpha.sum() <= disc.sum()
 
 
 def test_people_at_the_boards_stand_where_the_grass_ends(bank: Bank) -> None:

@@ -28,7 +28,10 @@ def batch() -> Batch:
     made = torch.Generator().manual_seed(1)
     pictures = torch.randint(0, 256, (4, 3, 96, 160), dtype=torch.uint8, generator=made)
     empty = torch.zeros(4, 1)
-    return Batch(pictures=pictures, boxes=torch.zeros(4, 1, 4), labels=empty, ignored=empty)
+    return Batch(
+        pictures=pictures, boxes=torch.zeros(4, 1, 4), labels=empty, ignored=empty,
+        difference=torch.randint(-99, 99, (4, 1, 96, 160), dtype=torch.int8, generator=made),
+    )  # fmt: skip
 
 
 def test_the_network_says_what_the_file_says(exported: Path) -> None:
@@ -55,6 +58,31 @@ def test_norms_remember_what_they_see(exported: Path) -> None:
         shown = net.train()(pictures).features
 
     assert (remembered - shown).abs().max() < 0.05 * remembered.abs().max()
+
+
+def test_a_network_with_a_difference_begins_as_one_that_knew_none(exported: Path) -> None:
+    net, plain = DetectorNet(difference=True), DetectorNet()
+
+    from_onnx(exported, net, batch())
+    from_onnx(exported, plain, batch())
+
+    with torch.no_grad():
+        found = net.eval()(batch().inputs(net.channels))
+        wanted = plain.eval()(batch().inputs(plain.channels))
+    assert torch.allclose(found.heat, wanted.heat, atol=1e-5)
+    assert torch.allclose(found.scores, wanted.scores, atol=1e-5)
+
+
+def test_what_reads_the_difference_is_taken_back_too(tmp_path: Path) -> None:
+    path, net = exported_detector(tmp_path, difference=True), DetectorNet(difference=True)
+
+    from_onnx(path, net, batch())
+
+    pictures = batch().inputs(4)[:1]
+    with torch.no_grad():
+        output, _ = Exported(net.eval())(pictures)
+    said = Network(path, threads=1)({"images": pictures.numpy()})["output"]
+    assert np.allclose(output.numpy()[:, :6], said[:, :6], atol=1e-2)
 
 
 def test_another_network_is_refused(tmp_path: Path) -> None:

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 pytest.importorskip("onnx", reason="needs the train extra")
+pytest.importorskip("torch", reason="needs the train extra")
 import onnx
 
-from operators.saliency.quantise import main, quantise, quantised_nodes
+from operators.saliency.quantise import main, quantise, quantised_nodes, training_pictures
 from operators.saliency.saliency import SHIPPED
 from pipeline.inference import Network
+from tests.operators.saliency.exported import exported_detector
 from tests.operators.training.labelled_stills import match_of_stills
 
 
@@ -19,7 +21,7 @@ def test_it_says_nearly_the_same_and_keeps_its_metadata(tmp_path: Path) -> None:
     pictures = [rng.integers(0, 256, (270, 480, 3)).astype(np.uint8) for _ in range(2)]
     out = tmp_path / "small.onnx"
 
-    quantise(SHIPPED, iter(pictures), out)
+    quantise(SHIPPED, ((picture, None) for picture in pictures), out)
 
     was, now = Network(SHIPPED, threads=1), Network(out, threads=1)
     padded = np.full((1, 3, 288, 480), 114 / 255, np.float32)
@@ -30,6 +32,19 @@ def test_it_says_nearly_the_same_and_keeps_its_metadata(tmp_path: Path) -> None:
     people = slice(0, 2835)  # their boxes, in pixels
     assert np.median(np.abs(before["output"] - after["output"])[0, :4, people]) < 1
     assert out.stat().st_size < 0.5 * SHIPPED.stat().st_size
+
+
+def test_a_network_that_reads_the_difference_is_calibrated_with_one(tmp_path: Path) -> None:
+    path, out = exported_detector(tmp_path, difference=True), tmp_path / "small.onnx"
+    folder = match_of_stills(tmp_path / "stills", "aa_1", "aa_2", "aa_3", "aa_4")
+
+    quantise(path, training_pictures(folder, 4), out)
+
+    pictures = np.random.default_rng(1).uniform(-1, 1, (1, 4, 288, 480)).astype(np.float32)
+    before = Network(path, threads=1)({"images": pictures})
+    after = Network(out, threads=1)({"images": pictures})
+    assert np.corrcoef(before["features"].ravel(), after["features"].ravel())[0, 1] > 0.9
+    assert any(changed is not None for _, changed in training_pictures(folder, 4))
 
 
 def test_what_is_decoded_stays_in_single_precision() -> None:

@@ -39,6 +39,7 @@ def batch() -> Batch:
         boxes=boxes.repeat(2, 1, 1),
         labels=torch.tensor([[0, ball, 1, ball], [1, -1, -1, -1]]),
         ignored=torch.tensor([[False, False, True, True], [False] * 4]),
+        difference=torch.randint(-99, 99, (2, 1, height, width), dtype=torch.int8, generator=made),
     )
 
 
@@ -164,6 +165,51 @@ def test_a_training_of_larger_inputs_takes_its_steps(tmp_path: Path) -> None:
     )  # fmt: skip
 
     assert train(given).step == 2
+
+
+def test_a_training_of_the_ball_alone_leaves_people_and_features_as_they_were(
+    tmp_path: Path,
+) -> None:
+    data = (footage(tmp_path / "data", 90),)
+    given = replace(
+        settings_in(tmp_path), data=data, scenes=0, batch=2, steps=2, init=SHIPPED,
+        difference=True, ball_only=True, rate=0.01, warmup=1, out=tmp_path / "run",
+    )  # fmt: skip
+    untouched, run = Run(replace(given, steps=1, out=tmp_path / "none")), Run(given)
+    source = training.source_of(given)
+    untouched.begin(source)
+    run.begin(source)
+    training.learn(run.net, ball_only=True)
+
+    for _ in range(2):
+        advance(run, run.net, batch())
+
+    with torch.no_grad():
+        found = run.net.eval()(batch().inputs(4))
+        wanted = untouched.net.eval()(batch().inputs(4))
+    assert torch.equal(found.features, wanted.features)
+    assert torch.equal(found.scores, wanted.scores)
+    assert not torch.allclose(found.heat, wanted.heat, atol=1e-3)
+
+
+def test_a_network_that_reads_the_difference_says_so_in_its_file(tmp_path: Path) -> None:
+    Run(replace(settings_in(tmp_path), difference=True)).save()
+    words = ["--data", str(tmp_path), "--out", str(tmp_path), "--export", str(tmp_path)]
+
+    main([*words, "--difference"])
+
+    detector = Detector(SaliencySettings(weights=str(tmp_path / "detector.onnx")))
+    assert detector.reads_difference
+    picture = np.full((270, 480, 3), 90, np.uint8)
+    changed = np.zeros((270, 480), np.int16)
+    changed[100:110, 100:110] = 200
+    detector.look(picture, changed)
+    assert detector.channels == 64
+
+
+def test_the_ball_alone_is_not_trained_from_nothing(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match=r"^ball_only: expected weights to begin with"):
+        replace(settings_in(tmp_path), ball_only=True)
 
 
 def test_without_a_checkpoint_exporting_is_refused(
