@@ -18,6 +18,7 @@ from operators.training.photometric import degrade, recolour
 BALL_LABEL = NAMES.index(BALL)
 LEAST_SHARE = 0.3  # share of an object that must remain in the picture
 BALL_TO_PERSON = (0.085, 0.17)  # diameter over height; a ball measures 0.22 m
+GROUND_SHARE = 0.6  # of the balls that lie still: anywhere on the grass, and not at somebody
 FINE = 8  # sub-pixels a side of a pasted thing
 
 
@@ -149,7 +150,8 @@ def paste(example: Example, rng: np.random.Generator) -> Example:
         under = picture.copy()
         diameter = float(np.clip(tall * rng.uniform(*BALL_TO_PERSON), 2.2, 14))
         smear, shift = ball_movement(diameter, rng)
-        found.append(_draw_ball(picture, somewhere(example, rng), diameter, smear, rng))
+        place = somewhere(example, rng) if shift.any() else at_rest(example, rng)
+        found.append(_draw_ball(picture, place, diameter, smear, rng))
         difference = moved(difference, under, picture, shift)
     balls = np.array(found, np.float32).reshape(-1, 4)
     pasted = replace(
@@ -178,6 +180,16 @@ def somewhere(example: Example, rng: np.random.Generator) -> tuple[float, float]
         bright = example.picture[places[:, 1].astype(int), places[:, 0].astype(int)].sum(1)
         return float(places[bright.argmax(), 0]), float(places[bright.argmax(), 1])
     return float(places[0, 0]), float(places[0, 1])
+
+
+def at_rest(example: Example, rng: np.random.Generator) -> tuple[float, float]:
+    """Return a position for a ball that lies still: mostly on the grass, where people stand."""
+    feet = example.boxes[example.labels != BALL_LABEL, 3]
+    if not len(feet) or rng.random() > GROUND_SHARE:
+        return somewhere(example, rng)
+    height, width = example.picture.shape[:2]
+    low = min(float(feet.max()) + 0.3 * float(np.ptp(feet)), height - 5)
+    return float(rng.uniform(4, width - 4)), float(rng.uniform(min(float(feet.min()), low), low))
 
 
 def _draw_ball(

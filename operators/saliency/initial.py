@@ -20,15 +20,17 @@ from operators.saliency.model import DetectorNet
 from pipeline.errors import WeightsError
 
 PREFIX = "net."
-CHANGED = "ball.changed."
+MOVING = "moving."
 
 
 @torch.no_grad()
 def from_onnx(path: Path, net: DetectorNet, batch: Batch) -> None:
-    """Load an ONNX file of `export` into a network; raises `WeightsError` for any other file."""
+    """Load an ONNX file of `export` into a network; raises `WeightsError` for any other file.
+
+    Of a file without a head for a moving ball that head begins as the one for a still ball.
+    """
     found = _initialisers(path)
-    # a file that knows no difference leaves what reads it as it was made
-    new = () if any(name.startswith(PREFIX + CHANGED) for name in found) else (CHANGED,)
+    new = () if any(name.startswith(PREFIX + MOVING) for name in found) else (MOVING,)
     blocks = {name: block for name, block in _normed(net) if not name.startswith(new)}
     for name, wanted in net.named_parameters():
         if name.startswith(new):
@@ -43,6 +45,8 @@ def from_onnx(path: Path, net: DetectorNet, batch: Batch) -> None:
         block[1].running_mean.zero_()
         block[1].running_var.fill_(1 - block[1].eps)
     _unfold(net, blocks, batch)
+    if new and net.moving is not None:
+        net.moving.load_state_dict(net.ball.state_dict(), strict=False)
 
 
 def _unfold(net: DetectorNet, blocks: dict[str, nn.Sequential], batch: Batch) -> None:

@@ -1,6 +1,7 @@
 """Losses of the detector's training: raw outputs and ground truth -> losses.
 
-People are detected at three strides by task-aligned assignment, the ball by a heat-map at stride 4.
+People are detected at three strides by task-aligned assignment, the ball by a heat-map at stride 4;
+of a network that reads what changed, a ball that moved by another one.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -13,6 +14,8 @@ from torch.nn import functional as F
 from operators.saliency.data import Batch
 from operators.saliency.example import ANYONE, NAMES, PEOPLE
 from operators.saliency.model import BALL_STRIDE, STRIDES, Raw, ball_boxes, cell_centres
+
+MOVED_LEVELS = 10.0  # of 255; the noise of two smoothed pictures stays below
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,12 +90,16 @@ def people_loss(raw: Raw, batch: Batch, centres: Tensor, reach: Tensor) -> tuple
     return (scores * aim.counts).sum() / total, boxes / total
 
 
-def ball_loss(raw: Raw, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Penalty-reduced focal loss of the heat-map (CenterNet, Eq. 1), and loss of place and size."""
-    height, width = raw.heat.shape[2:]
-    cells = cell_centres(height, width, BALL_STRIDE, raw.heat.device).reshape(height, width, 2)
-    balls = batch.labels == NAMES.index("ball")
-    item, row = torch.nonzero(balls & ~batch.ignored, as_tuple=True)
+def ball_loss(
+    heat_map: Tensor, place: Tensor, batch: Batch, wanted: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Penalty-reduced focal loss of the heat-map (CenterNet, Eq. 1), and loss of place and size.
+
+    `wanted` (B, M): the balls to find; others may be found or not.
+    """
+    height, width = heat_map.shape[2:]
+    cells = cell_centres(height, width, BALL_STRIDE, heat_map.device).reshape(height, width, 2)
+    item, row = torch.nonzero(wanted, as_tuple=True)
     box = batch.boxes[item, row]
     middle, size = (box[:, :2] + box[:, 2:]) / 2, box[:, 2:] - box[:, :2]
     away = (cells - middle[:, None, None]) / BALL_STRIDE  # (N, h, w, 2), cells
@@ -101,14 +108,14 @@ def ball_loss(raw: Raw, batch: Batch) -> tuple[Tensor, Tensor]:
     bump = torch.exp(-away.square().sum(-1) / (2 * spread**2))
     centre = away.abs().amax(-1) <= 0.5
     aim = torch.zeros(len(batch.labels), height, width, device=cells.device)
-    for place, near, peak in zip(item.tolist(), bump, centre, strict=True):
-        aim[place] = torch.maximum(aim[place], torch.where(peak, 1.0, near.clamp(max=0.999)))
-    logits = raw.heat[:, 0]
+    for picture, near, peak in zip(item.tolist(), bump, centre, strict=True):
+        aim[picture] = torch.maximum(aim[picture], torch.where(peak, 1.0, near.clamp(max=0.999)))
+    logits = heat_map[:, 0]
     chance = logits.sigmoid()
     found = (1 - chance) ** 2 * F.logsigmoid(logits) * (aim == 1)
     empty = (1 - aim) ** 4 * chance**2 * F.logsigmoid(-logits) * (aim < 1)
-    heat = -(found + empty) * _counted(batch, balls, cells)
-    centres, sizes = ball_boxes(raw.ball)
+    heat = -(found + empty) * _counted(batch, balls_of(batch) & ~wanted, cells)
+    centres, sizes = ball_boxes(place)
     near = away.abs().amax(-1) <= 1.0  # the neighbours too: the peak may lie one cell off
     which, y, x = torch.nonzero(near, as_tuple=True)
     at = item[which]
@@ -119,9 +126,25 @@ def ball_loss(raw: Raw, batch: Batch) -> tuple[Tensor, Tensor]:
     return heat.sum() / max(len(item), 1), place_loss / max(len(which), 1)
 
 
-def _counted(batch: Batch, balls: Tensor, cells: Tensor) -> Tensor:
-    """(B, h, w): 0 around hidden balls, which may be found or not."""
-    item, row = torch.nonzero(balls & batch.ignored, as_tuple=True)
+def balls_of(batch: Batch) -> Tensor:
+    """(B, M): which objects are balls."""
+    return batch.labels == NAMES.index("ball")
+
+
+def moved(batch: Batch) -> Tensor:
+    """(B, M): the middle of which objects changed more than noise does since the frame before."""
+    smooth = F.avg_pool2d(batch.difference.float() * 2, 3, 1, 1).abs()  # levels
+    most = F.max_pool2d(smooth, 5, 1, 2)[:, 0]
+    height, width = most.shape[1:]
+    middle = ((batch.boxes[..., :2] + batch.boxes[..., 2:]) / 2).long()
+    x, y = middle[..., 0].clamp(0, width - 1), middle[..., 1].clamp(0, height - 1)
+    items = torch.arange(len(most), device=most.device)[:, None]
+    return most[items, y, x] >= MOVED_LEVELS
+
+
+def _counted(batch: Batch, others: Tensor, cells: Tensor) -> Tensor:
+    """(B, h, w): 0 around other balls, which may be found or not."""
+    item, row = torch.nonzero(others, as_tuple=True)
     counted = torch.ones(len(batch.labels), *cells.shape[:2], device=cells.device)
     for place, box in zip(item.tolist(), batch.boxes[item, row], strict=True):
         away = torch.maximum(box[:2] - cells, cells - box[2:]).amax(-1)
@@ -139,5 +162,10 @@ def losses(net_output: Raw, batch: Batch) -> dict[str, Tensor]:
         [torch.full((n,), s * 0.4, device=device) for n, s in zip(counts, STRIDES, strict=True)]
     )
     people, boxes = people_loss(net_output, batch, centres, reach)
-    heat, place = ball_loss(net_output, batch)
-    return {"people": people, "boxes": 2.0 * boxes, "heat": heat, "place": 2.0 * place}
+    balls = balls_of(batch) & ~batch.ignored
+    heat, place = ball_loss(net_output.heat, net_output.ball, batch, balls)
+    parts = {"people": people, "boxes": 2.0 * boxes, "heat": heat, "place": 2.0 * place}
+    if net_output.moving is not None:
+        heat, place = ball_loss(*net_output.moving, batch, balls & moved(batch))
+        parts |= {"moving heat": heat, "moving place": 2.0 * place}
+    return parts

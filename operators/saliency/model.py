@@ -1,7 +1,8 @@
 """The shipped detector's network: pictures (B, 3, H, W) -> people at strides 8-32, a ball at 4.
 
-Made with `difference` it takes a fourth channel, what changed since the frame before, which only
-the ball's head reads: people and features stay what they are without it.
+Made with `difference` it takes a fourth channel, what changed since the frame before, and has a
+second head for a ball that moves: people, features and the ball that lies still are what they are
+without it.
 
 Own design from published ideas: cross-stage blocks (Wang et al., CSPNet 2019) in plain 3x3
 convolutions with ReLU, which ONNX Runtime fuses; a top-down and a bottom-up neck (Lin et al. 2017,
@@ -22,6 +23,7 @@ from operators.saliency.example import PEOPLE
 STRIDES = (8, 16, 32)
 BALL_STRIDE = 4
 FEATURES = 64  # channels of the stride-8 map
+MOVING_GAIN = 1.0  # of the score of a moving ball over that of one that lies still
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +35,7 @@ class Raw:
     heat: Tensor  # (B, 1, H/4, W/4) logits: a ball's centre lies in this cell
     ball: Tensor  # (B, 4, H/4, W/4) centre's offset x, y from the cell's; log width, height; cells
     features: Tensor  # (B, FEATURES, H/8, W/8)
+    moving: tuple[Tensor, Tensor] | None = None  # heat and ball of what reads the difference
 
 
 def conv(inward: int, outward: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
@@ -147,7 +150,7 @@ class Changed(nn.Module):
         super().__init__()
         self.stem = nn.Sequential(conv(1, 16, 3, 2), conv(16, 32, 3, 2))
         self.join = nn.Conv2d(32, width, 1, bias=False)
-        nn.init.zeros_(self.join.weight)  # a network that knew no difference goes on as it was
+        nn.init.zeros_(self.join.weight)  # to begin with, the head says what it said without it
 
     def forward(self, difference: Tensor) -> Tensor:
         return self.join(self.stem(difference))
@@ -156,7 +159,7 @@ class Changed(nn.Module):
 class BallHead(nn.Module):
     """Stride-4 map with its detail, and the neck's stride-8 map with its meaning -> heat, place."""
 
-    def __init__(self, *, difference: bool) -> None:
+    def __init__(self, *, difference: bool = False) -> None:
         super().__init__()
         self.changed = Changed(32) if difference else None
         self.detail = conv(48, 32, 1)
@@ -166,7 +169,9 @@ class BallHead(nn.Module):
         self.place = nn.Conv2d(32, 4, 1)
         nn.init.constant_(self.heat.bias, -4.6)
 
-    def forward(self, x4: Tensor, n8: Tensor, difference: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, x4: Tensor, n8: Tensor, difference: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         x = self.detail(x4) + _double(self.meaning(n8))
         if self.changed is not None:
             x = x + self.changed(difference)
@@ -183,7 +188,8 @@ class DetectorNet(nn.Module):
         self.backbone = Backbone()
         self.neck = Neck()
         self.heads = nn.ModuleList([PeopleHead(64, 48), PeopleHead(96, 64), PeopleHead(128, 64)])
-        self.ball = BallHead(difference=difference)
+        self.ball = BallHead()
+        self.moving = BallHead(difference=True) if difference else None
 
     def forward(self, pictures: Tensor) -> Raw:
         """Pictures (B, 3, H, W) RGB 0..1, or (B, 4, H, W) with the difference, -1..1."""
@@ -195,12 +201,17 @@ class DetectorNet(nn.Module):
             centres = cell_centres(x.shape[2], x.shape[3], stride, x.device)
             scores.append(logits.flatten(2).transpose(1, 2))
             boxes.append(_from_sides(centres, sides.flatten(2).transpose(1, 2).float(), stride))
-        heat, place = self.ball(x4, maps[0], pictures[:, 3:])
+        heat, place = self.ball(x4, maps[0])
+        moving = None
+        if self.moving is not None:
+            moved = self.moving(x4, maps[0], pictures[:, 3:])
+            moving = (moved[0].float(), moved[1].float())
         return Raw(
             scores=torch.cat(scores, 1).float(),
             boxes=torch.cat(boxes, 1),
             heat=heat.float(),
             ball=place.float(),
+            moving=moving,
             features=maps[0],
         )
 
@@ -222,9 +233,13 @@ class Exported(nn.Module):
         scores = raw.scores.sigmoid()
         no_ball = torch.zeros_like(scores[..., :1])
         people = torch.cat([(low + high) / 2, high - low, scores, no_ball], 2)
-        heat = raw.heat.sigmoid()
+        heat, ball = raw.heat.sigmoid(), raw.ball
+        if raw.moving is not None:
+            moved = raw.moving[0].sigmoid() * MOVING_GAIN
+            ball = torch.where(moved > heat, raw.moving[1], ball)
+            heat = torch.maximum(heat, moved)
         peak = heat * (heat >= F.max_pool2d(heat, 3, 1, 1)).float()
-        centres, sizes = ball_boxes(raw.ball)
+        centres, sizes = ball_boxes(ball)
         place = torch.cat([centres, sizes], 1).flatten(2)
         nobody = torch.zeros_like(place[:, : len(PEOPLE)])
         ball = torch.cat([place, nobody, peak.flatten(2)], 1).transpose(1, 2)

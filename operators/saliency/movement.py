@@ -21,9 +21,9 @@ PERSON_STEP = 0.07  # of a person's height between two frames: 3 m/s at 25 frame
 SMEARED_SHARE = 0.5  # of the balls; others are sharp
 SMEAR = 0.8  # mean, diameters: a kick moves a ball by one or two within half a frame
 OPEN = (0.25, 1.0)  # share of the time between two frames in which light is gathered
-LIES_STILL = 0.6  # share of the sharp balls; the others move and are exposed briefly
+LIES_STILL = 0.7  # share of the sharp balls; the others move and are exposed briefly
 CAMERA_PX = 0.15  # by which the camera's movement is misjudged
-MOVING_PARTS = 1.0  # mean number of captions, flags and changing boards in a picture
+MOVING_PARTS = 2.5  # mean number of captions, flags and changing boards in a picture
 
 
 def ball_movement(diameter_px: float, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -146,13 +146,29 @@ def _parts_in_motion(difference: Array, light: Array, rng: np.random.Generator) 
     """Captions, which a panning camera does not move, and flags and boards, which do."""
     height, width = light.shape
     for _ in range(int(rng.poisson(MOVING_PARTS))):
-        wide, high = int(width * rng.uniform(0.02, 0.3)), int(height * rng.uniform(0.03, 0.12))
+        wide, high = int(width * rng.uniform(0.02, 0.25)), int(height * rng.uniform(0.03, 0.15))
         x, y = int(rng.integers(0, width - wide)), int(height * rng.uniform(0, 0.35))
-        if rng.random() < 0.2:
+        if rng.random() < 0.15:
             y = height - high - int(height * rng.uniform(0.02, 0.1))
         part = light[y : y + high, x : x + wide]
         shift = np.asarray(rng.normal(0, 2.5, 2), np.float32)
-        difference[y : y + high, x : x + wide] = part - _shifted(part, shift)
+        before = _waved(part, rng) if rng.random() < 0.5 else _shifted(part, shift)
+        difference[y : y + high, x : x + wide] = part - before
+
+
+def _waved(part: Array, rng: np.random.Generator) -> Array:
+    """A flag a moment before: shifted by another way at each place."""
+    high, wide = part.shape
+    y, x = np.mgrid[:high, :wide].astype(np.float32)
+    length, angle, phase = rng.uniform(6, 40), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
+    along = 2 * np.pi / length * (x * np.cos(angle) + y * np.sin(angle)) + phase
+    wave = np.sin(along).astype(np.float32)
+    step = rng.normal(0, 2.5, 2).astype(np.float32)
+    moved_x, moved_y = x + step[0] * wave, y + step[1] * wave
+    return np.asarray(
+        cv2.remap(part, moved_x, moved_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+        np.float32,
+    )
 
 
 def frame_before(example: Example) -> NDArray[np.uint8] | None:

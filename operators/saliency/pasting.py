@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.augment import BALL_LABEL, BALL_TO_PERSON, somewhere
+from operators.saliency.augment import BALL_LABEL, BALL_TO_PERSON, at_rest, somewhere
 from operators.saliency.example import NAMES, Example
 from operators.saliency.movement import ball_movement, moved, person_movement
 
@@ -185,7 +185,7 @@ def paste_balls(example: Example, bank: Bank, rng: np.random.Generator) -> Examp
         if piece is None:
             continue
         smear, shift = ball_movement(diameter, rng)
-        x, y = somewhere(example, rng)
+        x, y = somewhere(example, rng) if shift.any() else at_rest(example, rng)
         if rng.random() < HELD_SHARE:
             x, y = at_hands(people[rng.integers(len(people))], rng)
             piece, shift = half_covered(piece, rng), person_movement(tall, rng)

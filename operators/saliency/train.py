@@ -35,10 +35,10 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:
     parser.add_argument("--init", type=Path, help="checkpoint or .onnx to begin with")
     parser.add_argument(
         "--difference", action="store_true",
-        help="give the ball's head what changed since the frame before",
+        help="add a head for a moving ball, which reads what changed since the frame before",
     )  # fmt: skip
     parser.add_argument(
-        "--ball-only", action="store_true", help="train the ball's head and leave the rest"
+        "--moving-only", action="store_true", help="train that head and leave the rest as it is"
     )
     parser.add_argument("--compiled", action="store_true", help="compile first: needs g++")
     parser.add_argument("--device", default="auto", help=DEVICES)

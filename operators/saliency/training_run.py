@@ -39,7 +39,7 @@ from pipeline.fleet.placement import file_digest
 PHASES = Phases("draw scenes", "train")
 # pictures of `width_px` over which an exported network is measured before training goes on
 CALIBRATION = 64
-BALL_PARTS = ("heat", "place")  # of the loss
+MOVING_PARTS = ("moving heat", "moving place")  # of the loss
 TRAIN_SEEDS = 10_000  # first seed of the training scenes; evaluate.py uses others
 
 
@@ -52,7 +52,7 @@ class Run(checkpoint.Progress):
         self.net = network(settings).to(self.device, memory_format=torch.channels_last)
         self.mean = network(settings).to(self.device)
         self.mean.load_state_dict(self.net.state_dict())
-        learning = self.net.ball if settings.ball_only else self.net
+        learning = self.net.moving if settings.moving_only else self.net
         self.optimiser = torch.optim.AdamW(
             groups(learning, settings.decay), lr=settings.rate, betas=(0.9, 0.99)
         )
@@ -83,12 +83,13 @@ def network(settings: TrainSettings) -> DetectorNet:
     return DetectorNet(difference=settings.difference)
 
 
-def learn(net: DetectorNet, *, ball_only: bool) -> None:
-    """Let a network learn, or its ball's head alone: what else it knows, norms too, stays."""
-    net.train(not ball_only)
-    net.requires_grad_(not ball_only)
-    net.ball.train()
-    net.ball.requires_grad_(True)
+def learn(net: DetectorNet, *, moving_only: bool) -> None:
+    """Let a network learn, or its head for a moving ball alone: the rest, norms too, stays."""
+    net.train(not moving_only)
+    net.requires_grad_(not moving_only)
+    if net.moving is not None:
+        net.moving.train()
+        net.moving.requires_grad_(True)
 
 
 def drawn(settings: TrainSettings) -> list[Path]:
@@ -145,7 +146,7 @@ def train(settings: TrainSettings) -> Run:
     )  # fmt: skip
     source = source_of(settings)
     run.begin(source)
-    learn(run.net, ball_only=settings.ball_only)
+    learn(run.net, moving_only=settings.moving_only)
     forward = torch.compile(run.net) if settings.compiled else run.net
     started = time.monotonic() - run.elapsed_s
     log = settings.out / "log.csv"
@@ -181,8 +182,8 @@ def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
     with torch.autocast(run.device.type, torch.bfloat16):
         raw = forward(batch.inputs(run.net.channels))
     parts = losses(raw, batch)
-    if s.ball_only:
-        parts = {name: part for name, part in parts.items() if name in BALL_PARTS}
+    if s.moving_only:
+        parts = {name: part for name, part in parts.items() if name in MOVING_PARTS}
     run.optimiser.zero_grad(set_to_none=True)
     torch.stack(list(parts.values())).sum().backward()
     torch.nn.utils.clip_grad_norm_(run.net.parameters(), 10.0)

@@ -34,8 +34,8 @@ class TrainSettings:
     threads: int = 2
     minutes: float = 120.0
     compiled: bool = False
-    difference: bool = False  # whether the ball's head gets what changed since the frame before
-    ball_only: bool = False  # people and features stay as they are to begin with
+    difference: bool = False  # add a head for a moving ball that gets what changed
+    moving_only: bool = False  # train that head; all else stays as it was to begin with
     raw_share: float = 0.0  # share of the pictures that are seen through a raw sensor
     init: Path | None = None  # checkpoint or .onnx to begin with instead of random weights
     device: str = "auto"  # where the network is; scenes are drawn on processors
@@ -55,8 +55,9 @@ class TrainSettings:
             if not 0 <= (share := getattr(self, name)) <= 1:
                 raise SettingsError(f"{name}: must be within 0..1, got {share}")
         known_device(self.device)
-        if self.ball_only and self.init is None:
-            raise SettingsError("ball_only: expected weights to begin with (init), got none")
+        if self.moving_only and not (self.difference and self.init):
+            lacks = "weights to begin with (init)" if self.difference else "difference"
+            raise SettingsError(f"moving_only: expected {lacks} as well, got none")
 
     @property
     def widths_px(self) -> tuple[int, ...]:

@@ -60,7 +60,7 @@ def test_norms_remember_what_they_see(exported: Path) -> None:
     assert (remembered - shown).abs().max() < 0.05 * remembered.abs().max()
 
 
-def test_a_network_with_a_difference_begins_as_one_that_knew_none(exported: Path) -> None:
+def test_a_head_for_a_moving_ball_begins_as_the_one_for_a_still_ball(exported: Path) -> None:
     net, plain = DetectorNet(difference=True), DetectorNet()
 
     from_onnx(exported, net, batch())
@@ -69,7 +69,9 @@ def test_a_network_with_a_difference_begins_as_one_that_knew_none(exported: Path
     with torch.no_grad():
         found = net.eval()(batch().inputs(net.channels))
         wanted = plain.eval()(batch().inputs(plain.channels))
+    assert found.moving is not None
     assert torch.allclose(found.heat, wanted.heat, atol=1e-5)
+    assert torch.allclose(found.moving[0], wanted.heat, atol=1e-5)
     assert torch.allclose(found.scores, wanted.scores, atol=1e-5)
 
 

@@ -167,19 +167,19 @@ def test_a_training_of_larger_inputs_takes_its_steps(tmp_path: Path) -> None:
     assert train(given).step == 2
 
 
-def test_a_training_of_the_ball_alone_leaves_people_and_features_as_they_were(
+def test_a_training_of_the_moving_ball_alone_leaves_the_rest_as_it_was(
     tmp_path: Path,
 ) -> None:
     data = (footage(tmp_path / "data", 90),)
     given = replace(
         settings_in(tmp_path), data=data, scenes=0, batch=2, steps=2, init=SHIPPED,
-        difference=True, ball_only=True, rate=0.01, warmup=1, out=tmp_path / "run",
+        difference=True, moving_only=True, rate=0.01, warmup=1, out=tmp_path / "run",
     )  # fmt: skip
     untouched, run = Run(replace(given, steps=1, out=tmp_path / "none")), Run(given)
     source = training.source_of(given)
     untouched.begin(source)
     run.begin(source)
-    training.learn(run.net, ball_only=True)
+    training.learn(run.net, moving_only=True)
 
     for _ in range(2):
         advance(run, run.net, batch())
@@ -189,7 +189,10 @@ def test_a_training_of_the_ball_alone_leaves_people_and_features_as_they_were(
         wanted = untouched.net.eval()(batch().inputs(4))
     assert torch.equal(found.features, wanted.features)
     assert torch.equal(found.scores, wanted.scores)
-    assert not torch.allclose(found.heat, wanted.heat, atol=1e-3)
+    assert torch.equal(found.heat, wanted.heat)
+    assert found.moving is not None
+    assert wanted.moving is not None
+    assert not torch.allclose(found.moving[0], wanted.moving[0], atol=1e-3)
 
 
 def test_a_network_that_reads_the_difference_says_so_in_its_file(tmp_path: Path) -> None:
@@ -207,9 +210,11 @@ def test_a_network_that_reads_the_difference_says_so_in_its_file(tmp_path: Path)
     assert detector.channels == 64
 
 
-def test_the_ball_alone_is_not_trained_from_nothing(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match=r"^ball_only: expected weights to begin with"):
-        replace(settings_in(tmp_path), ball_only=True)
+def test_the_moving_ball_alone_is_not_trained_from_nothing(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match=r"^moving_only: expected weights to begin with"):
+        replace(settings_in(tmp_path), moving_only=True, difference=True)
+    with pytest.raises(SettingsError, match=r"^moving_only: expected difference as well"):
+        replace(settings_in(tmp_path), moving_only=True, init=SHIPPED)
 
 
 def test_without_a_checkpoint_exporting_is_refused(
