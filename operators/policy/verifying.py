@@ -6,8 +6,9 @@ another, each in `looks` frames, until one of them is verified (operators.verify
 context is sure needs no looks. It is followed as in pursuit. Unless it is surely the target, a
 window of candidates that were not looked at often enough is looked at first where that is likelier
 to show the target: what the context takes for a ball ever more surely is not passed over for a boot
-that was verified by mistake. A target that was followed for a while and is lost is waited for and
-looked for among people, not among faint candidates again.
+that was verified by mistake. A target that was followed for a while and is lost may have been
+kicked: what the context shows in every frame, on its way from where the target was, is followed.
+Without such it is waited for and looked for among people, not among faint candidates again.
 
 That is for a target asked for by its class. One asked for by id or box needs no search: the network
 follows it, as in `LearnedPolicy`.
@@ -41,6 +42,8 @@ EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge noth
 OWN_GAIN = 0.2  # of the latest frame in the odds of the present target
 REFUTED = 120  # frames in succession after which what the ROI refutes is let go
 LATE = 6  # frames more than `looks` for which a candidate is waited for
+# a lost target on its way: the least score in the context, and how far from where it was last seen
+ESCAPED_SCORE, ESCAPED_PX, ESCAPED_STEP_PX = 0.3, 60.0, 30.0
 PLAIN = 3  # frames in which the context shows a candidate that needs no looks
 GIVEN_UP = 16  # candidates that were never judged are passed over, so many at once
 
@@ -179,7 +182,8 @@ def seek(
         return stay(future(tracks, shown, horizon), horizon), replace(now, search=search)
     search = replace(search, shown_id=-1)
     if row < 0:
-        return unlocked(tracks, replace(now, search=search), rules)
+        now, away = replace(now, search=search), escaped(tracks, now, rules)
+        return (follow(tracks, away, horizon), now) if away >= 0 else unlocked(tracks, now, rules)
     kept = search.kept + 1
     followed = search.followed or (not search.refuted and kept >= rules.patience)
     now = replace(now, search=replace(search, kept=kept, followed=followed))
@@ -187,6 +191,22 @@ def seek(
     if carrier >= 0:
         return stay(future(tracks, carrier, horizon), horizon), now
     return follow(tracks, row, horizon), now
+
+
+def escaped(tracks: Tracks, now: VerifyingState, rules: VerifyingPolicySettings) -> int:
+    """Return the row of what may be the lost target on its way, or -1.
+
+    That is the surest of the candidates that the context shows in every observed frame, no farther
+    from where the target was last seen than a kicked ball gets, for `patience` frames. A verdict on
+    it may be of what stood there before: its track began at the place that the ball left.
+    """
+    since = tracks.header.seq - now.seen_seq
+    if not now.search.followed or since > rules.patience:
+        return -1
+    away = np.linalg.norm(centres(tracks.boxes[:, -1]) - centres(now.box), axis=1)
+    fit = tracks.visible.all(1) & of_class(tracks, now.spec.label)
+    fit &= (tracks.scores >= ESCAPED_SCORE) & (away <= ESCAPED_PX + ESCAPED_STEP_PX * since)
+    return int(np.where(fit, tracks.scores, -1).argmax()) if fit.any() else -1
 
 
 def target_odds(tracks: Tracks, now: VerifyingState) -> NDArray[np.float32]:

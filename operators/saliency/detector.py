@@ -39,10 +39,12 @@ SHIPPED = Path(__file__).with_name("detector.onnx")
 EIGHT_BITS = Path(__file__).with_name("detector_int8.onnx")  # the same in half the time
 # in eight bits, trained for 736x416 and 480x288: enlarged contexts and regions of interest
 LARGER = Path(__file__).with_name("detector_larger.onnx")
+MOVING = Path(__file__).with_name("detector_moving.onnx")  # the same, and a ball in flight
 OBJECTS = Path(__file__).parent / "objects" / "objects.onnx"  # what a robot handles
 TEXT = Path(__file__).with_name("text.onnx")  # texts in streets, as turned boxes
 NAMED = {
-    "": SHIPPED, "eight_bits": EIGHT_BITS, "larger": LARGER, "objects": OBJECTS, "text": TEXT,
+    "": SHIPPED, "eight_bits": EIGHT_BITS, "larger": LARGER, "moving": MOVING, "objects": OBJECTS,
+    "text": TEXT,
 }  # fmt: skip
 FEATURE_STRIDE_PX = 8
 USUAL_CONFIDENCE = 0.25

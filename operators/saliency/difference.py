@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-CORNERS = 200  # that are followed
+CORNERS = 100  # that are followed
 LEAST_CORNERS = 12  # fewer, as in fog or after a cut, do not tell how the camera moved
-APART_PX = 8.0
+APART_PX = 8.0  # in a picture of half the size, where corners are looked for: a quarter of the time
 QUALITY = 0.01  # of a corner, over that of the best one
+NEIGHBOURHOOD_PX, HALVINGS = 13, 2  # of a corner; a movement of up to half of it, so often doubled
 AGREE_PX = 1.0  # a corner that the fitted movement misses by more is of something that moved
 LEAST_AGREEING = 0.4  # share of the corners; with fewer the scene was cut
 FOLLOWED_PX = 640  # width at which corners are followed; larger pictures are shrunk for it
@@ -78,10 +79,15 @@ def camera_movement(last: NDArray[np.uint8], grey: NDArray[np.uint8]) -> NDArray
             np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA), np.uint8)
             for p in (last, grey)
         )
-    corners = cv2.goodFeaturesToTrack(last, CORNERS, QUALITY, APART_PX)
+    half = cv2.resize(last, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    corners = cv2.goodFeaturesToTrack(half, CORNERS, QUALITY, APART_PX)
     if corners is None or len(corners) < LEAST_CORNERS:
         return None
-    found, known, _ = cv2.calcOpticalFlowPyrLK(last, grey, corners, None, winSize=(15, 15))  # type: ignore[call-overload]
+    corners = corners * 2 + 0.5
+    found, known, _ = cv2.calcOpticalFlowPyrLK(
+        last, grey, corners, None,  # type: ignore[call-overload]
+        winSize=(NEIGHBOURHOOD_PX, NEIGHBOURHOOD_PX), maxLevel=HALVINGS,
+    )  # fmt: skip
     kept = known[:, 0] > 0
     if kept.sum() < LEAST_CORNERS:
         return None

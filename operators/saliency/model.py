@@ -23,7 +23,6 @@ from operators.saliency.example import PEOPLE
 STRIDES = (8, 16, 32)
 BALL_STRIDE = 4
 FEATURES = 64  # channels of the stride-8 map
-MOVING_GAIN = 1.0  # of the score of a moving ball over that of one that lies still
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,7 +234,7 @@ class Exported(nn.Module):
         people = torch.cat([(low + high) / 2, high - low, scores, no_ball], 2)
         heat, ball = raw.heat.sigmoid(), raw.ball
         if raw.moving is not None:
-            moved = raw.moving[0].sigmoid() * MOVING_GAIN
+            moved = raw.moving[0].sigmoid()
             ball = torch.where(moved > heat, raw.moving[1], ball)
             heat = torch.maximum(heat, moved)
         peak = heat * (heat >= F.max_pool2d(heat, 3, 1, 1)).float()
