@@ -198,10 +198,11 @@ def escaped(tracks: Tracks, now: VerifyingState, rules: VerifyingPolicySettings)
 
     That is the surest of the candidates that the context shows in every observed frame, no farther
     from where the target was last seen than a kicked ball gets, for `patience` frames. A verdict on
-    it may be of what stood there before: its track began at the place that the ball left.
+    it may be of what stood there before: its track began at the place that the ball left. It is
+    the consumer's target at once, since a flight is shorter than the looks of a verdict.
     """
     since = tracks.header.seq - now.seen_seq
-    if not now.search.followed or since > rules.patience:
+    if now.seen_seq < 0 or since > rules.patience:
         return -1
     away = np.linalg.norm(centres(tracks.boxes[:, -1]) - centres(now.box), axis=1)
     fit = tracks.visible.all(1) & of_class(tracks, now.spec.label)

@@ -106,7 +106,7 @@ def of_metadata(path: Path, metadata: Mapping[str, str]) -> Description:
         domain=metadata.get("domain", ""),
         task=task,
         stride_px=take("stride", _stride, 32),
-        difference=take(DIFFERENCE, _yes, False),
+        difference=take(DIFFERENCE, _truth, False),
         places={"names": f"{path}: metadata names"},
     )
 
@@ -184,10 +184,10 @@ def _size(value: Value) -> tuple[int, int]:
     return sides[1], sides[0]
 
 
-def _yes(value: Value) -> bool:
-    if value is not True:
-        raise ValueError(f"expected True or nothing, got {shown(value)}")
-    return True
+def _truth(value: Value) -> bool:
+    if type(value) is not bool:
+        raise ValueError(f"expected True or False, got {shown(value)}")
+    return value
 
 
 def _stride(value: Value) -> int:

@@ -37,14 +37,17 @@ if TYPE_CHECKING:
 
 SHIPPED = Path(__file__).with_name("detector.onnx")
 EIGHT_BITS = Path(__file__).with_name("detector_int8.onnx")  # the same in half the time
-# in eight bits, trained for 736x416 and 480x288: enlarged contexts and regions of interest
+# eight bits with a head for a ball that moves; its usual input is 736x416
+MOVING = Path(__file__).with_name("detector_moving.onnx")
+# in eight bits, trained for 736x416 and 480x288: enlarged contexts and regions of interest; crowds
+# was also shown people before one another
 LARGER = Path(__file__).with_name("detector_larger.onnx")
-MOVING = Path(__file__).with_name("detector_moving.onnx")  # the same, and a ball in flight
+CROWDS = Path(__file__).with_name("detector_crowds.onnx")
 OBJECTS = Path(__file__).parent / "objects" / "objects.onnx"  # what a robot handles
 TEXT = Path(__file__).with_name("text.onnx")  # texts in streets, as turned boxes
 NAMED = {
-    "": SHIPPED, "eight_bits": EIGHT_BITS, "larger": LARGER, "moving": MOVING, "objects": OBJECTS,
-    "text": TEXT,
+    "": SHIPPED, "eight_bits": EIGHT_BITS, "moving": MOVING, "larger": LARGER, "crowds": CROWDS,
+    "objects": OBJECTS, "text": TEXT,
 }  # fmt: skip
 FEATURE_STRIDE_PX = 8
 USUAL_CONFIDENCE = 0.25
@@ -67,8 +70,8 @@ class Detector:
         self.network = Network(self.path, **settings.compute)
         self.known = described(self.path, self.network.metadata)
         self.input, self.size_px = _input_of(self.network, settings, self.known)
-        # whether other settings may ask for another size
         self.reads_difference = self.known.difference
+        # whether other settings may ask for another size
         self.open_sides = any(isinstance(n, str) for n in self.network.inputs[self.input][2:])
         size_px = self.size_px
         # one run on an empty picture tells the shapes of exports with open sides
@@ -163,7 +166,12 @@ def _input_of(
     batch = shape[0] if shape and isinstance(shape[0], int) else 1
     planes = 4 if known.difference else 3
     if len(shape) != 4 or shape[1] != planes or batch != 1:
-        raise WeightsError(f"{path}: expected an input (1, {planes}, height, width), got {shape}")
+        told = (
+            f", as its metadata {'says' if known.difference else 'does not say'} difference: True"
+        )
+        why = told if len(shape) == 4 and {planes, shape[1]} == {3, 4} else ""
+        what = f"an input (1, {planes}, height, width){why}"
+        raise WeightsError(f"{path}: expected {what}, got {shape}")
     if (kind := network.input_types[name]) not in INPUT_TYPES:
         raise WeightsError(f"{path}: expected an input of {' or '.join(INPUT_TYPES)}, got {kind}")
     fixed = tuple(side if isinstance(side, int) and side > 0 else 0 for side in shape[:1:-1])

@@ -79,6 +79,8 @@ def camera_movement(last: NDArray[np.uint8], grey: NDArray[np.uint8]) -> NDArray
             np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA), np.uint8)
             for p in (last, grey)
         )
+    if min(grey.shape) < NEIGHBOURHOOD_PX:
+        return None
     half = cv2.resize(last, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     corners = cv2.goodFeaturesToTrack(half, CORNERS, QUALITY, APART_PX)
     if corners is None or len(corners) < LEAST_CORNERS:

@@ -76,6 +76,7 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         self._detector = Detector(self.settings)
         self._shape: tuple[int, ...] = ()
         self._before = FrameDifference(fixed=True)
+        self._window: tuple[int, ...] = ()
 
     def on_stream(self, header: Header) -> None:
         """Forget all tiles: another stream shows something else."""
@@ -101,6 +102,9 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         if not frame.pixels.size:
             return answer(frame, nothing(), np.zeros((0, 0), np.float32), self._detector)
         picture = rgb(frame)
+        if frame.window != self._window:
+            self._before.forget()
+            self._window = frame.window
         if picture.shape != self._shape:
             self._arrange(picture)
         difference = self._before.of(picture) if self._detector.reads_difference else None

@@ -23,7 +23,7 @@ SMEAR = 0.8  # mean, diameters: a kick moves a ball by one or two within half a 
 OPEN = (0.25, 1.0)  # share of the time between two frames in which light is gathered
 LIES_STILL = 0.7  # share of the sharp balls; the others move and are exposed briefly
 CAMERA_PX = 0.15  # by which the camera's movement is misjudged
-MOVING_PARTS = 2.5  # mean number of captions, flags and changing boards in a picture
+FLAGS = 2.5  # mean number of captions, flags and changing boards in a picture
 
 
 def ball_movement(diameter_px: float, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -145,11 +145,12 @@ def _shifted(values: Array, shift_px: Array, border: int = cv2.BORDER_REPLICATE)
 def _parts_in_motion(difference: Array, light: Array, rng: np.random.Generator) -> None:
     """Captions, which a panning camera does not move, and flags and boards, which do."""
     height, width = light.shape
-    for _ in range(int(rng.poisson(MOVING_PARTS))):
-        wide, high = int(width * rng.uniform(0.02, 0.25)), int(height * rng.uniform(0.03, 0.15))
-        x, y = int(rng.integers(0, width - wide)), int(height * rng.uniform(0, 0.35))
+    for _ in range(int(rng.poisson(FLAGS))):
+        wide = 1 + int(width * rng.uniform(0.02, 0.25))
+        high = 1 + int(height * rng.uniform(0.03, 0.15))
+        x, y = int(rng.integers(0, max(1, width - wide))), int(height * rng.uniform(0, 0.35))
         if rng.random() < 0.15:
-            y = height - high - int(height * rng.uniform(0.02, 0.1))
+            y = max(0, height - high - int(height * rng.uniform(0.02, 0.1)))
         part = light[y : y + high, x : x + wide]
         shift = np.asarray(rng.normal(0, 2.5, 2), np.float32)
         before = _waved(part, rng) if rng.random() < 0.5 else _shifted(part, shift)

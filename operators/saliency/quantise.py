@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from operators.saliency.description import described
 from operators.saliency.detector import Detector
+from operators.saliency.example import CONTEXT_PX, resized
 from operators.saliency.letterbox import Letterbox
 from operators.saliency.movement import in_motion
 from operators.saliency.saliency import SaliencySettings
@@ -30,8 +31,8 @@ from pipeline.inference import Network
 onnx: Any = LateModule("onnx")
 quantization: Any = LateModule("onnxruntime.quantization")
 prepared: Any = LateModule("onnxruntime.quantization.shape_inference")
-# give what is decoded; and the first, whose three channels are too few to gain by it
 Picture = tuple[NDArray[np.uint8], NDArray[np.int16] | None]  # and what changed in it
+# give what is decoded; and the first ones, whose one or three channels are too few to gain by it
 FLOATING = ("scores.1/Conv", "sides.1/Conv", "heat/Conv", "place/Conv", "stem.0.0/Conv")
 BETWEEN = ("Add", "Concat", "MaxPool", "Relu", "Resize")  # between convolutions, in the network
 
@@ -58,7 +59,7 @@ class Pictures:
 def quantised_nodes(path: Path) -> list[str]:
     """Names of the nodes that compute with whole numbers."""
     nodes = onnx.load(path).graph.node
-    inside = ("/backbone/", "/neck/", "/ball/", "/heads")
+    inside = ("/backbone/", "/neck/", "/ball/", "/moving/", "/heads")
     return [
         node.name
         for node in nodes
@@ -90,16 +91,14 @@ def quantise(path: Path, pictures: Iterator[Picture], out: Path) -> None:
 
 
 def training_pictures(folder: Path, most: int) -> Iterator[Picture]:
-    """Well-spaced stills that a training sees, each with a frame before it.
-
-    The letterbox shrinks them to the input.
-    """
+    """Well-spaced stills that a training sees, each with a frame before it as a context has it."""
     found = stills(folder, without=HELD_OUT)
     files = found.files[:: max(1, len(found.files) // most)][:most]
     for number, file in enumerate(files):
-        item = in_motion(found.example(file), np.random.default_rng(number))
+        still = found.example(file)
+        item = in_motion(resized(still, CONTEXT_PX), np.random.default_rng(number))
         changed = item.difference
-        yield item.picture, None if changed is None else changed.astype(np.int16)
+        yield still.picture, None if changed is None else np.rint(changed).astype(np.int16)
 
 
 @in_a_sentence()

@@ -19,6 +19,7 @@ def constant_network(
     half: bool = False,
     more_inputs: tuple[str, ...] = (),
     batch: int | str = 1,
+    planes: int = 3,
     **metadata: str,
 ) -> str:
     """Write a network with the same outputs for every picture; a side that is a text is open.
@@ -38,7 +39,7 @@ def constant_network(
         nodes.append(helper.make_node("Add", [name + "_none", name + "_weights"], [name]))
         outputs.append(helper.make_tensor_value_info(name, kind, array.shape))
     weights.append(numpy_helper.from_array(np.zeros((), dtype), "zero"))
-    shape = (batch, 3, height_px, width_px)
+    shape = (batch, planes, height_px, width_px)
     inputs = [helper.make_tensor_value_info(n, kind, shape) for n in ("images", *more_inputs)]
     graph = helper.make_graph(nodes, "constant", inputs, outputs, weights)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)

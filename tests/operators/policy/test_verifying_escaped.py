@@ -69,9 +69,21 @@ def test_it_is_followed_for_as_long_as_a_lost_target_is_waited_for() -> None:
     assert not any(shown[-10:])
 
 
-def test_without_a_target_that_was_followed_nothing_escaped() -> None:
-    run = Run({2: 0.98}, patience=12, sought=0)
+def test_the_consumer_is_bound_to_it_at_once() -> None:
+    run = followed()
+    kicked = run.seq
 
-    shown = gaze(run, 20, step_px=25.0, score=ESCAPED_SCORE + 0.1)
+    paths = [run.policy.on_tracks(flying(kicked + k, kicked, 25.0, 0.4)) for k in range(4)]
 
-    assert not any(shown[-8:])
+    assert [int(path.choice[0]) for path in paths] == [9] * 4
+
+
+def test_where_no_target_was_followed_nothing_escaped() -> None:
+    run = Run({}, patience=12, sought=0)
+
+    frames = [tracks(seq, (9, 0, 50.0, 50.0, 0.0)) for seq in range(8)]
+    for frame in frames:
+        frame.scores[0] = ESCAPED_SCORE + 0.1
+    choices = [int(run.policy.on_tracks(frame).choice[0]) for frame in frames]
+
+    assert choices == [-1] * 8

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from operators.saliency import MovedSaliency, Saliency
 from operators.saliency.difference import FrameDifference
 from operators.saliency.letterbox import Letterbox
-from pipeline import Detections, Frame
+from pipeline import Detections, Frame, WeightsError
 from pipeline.testing import drive, header
-from tests.operators.networks import changing_network
+from tests.operators.networks import changing_network, constant_network
 
 Picture = NDArray[np.uint8]
 SIZE_PX = (480, 270)
@@ -76,6 +76,14 @@ def test_a_first_picture_one_of_another_size_and_one_after_a_cut_tell_nothing() 
     assert not difference.of(seen(scenery(5))[:200, :300]).any()
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 480), (480, 1), (2, 2000), (12, 40)])
+def test_pictures_too_small_for_a_corner_tell_nothing(shape: tuple[int, int]) -> None:
+    difference = FrameDifference()
+
+    for level in (30, 200):
+        assert not difference.of(np.full((*shape, 3), level, np.uint8)).any()
+
+
 def test_two_empty_pictures_are_no_error() -> None:
     difference = FrameDifference()
 
@@ -127,15 +135,43 @@ def test_an_operator_tells_its_network_what_changed(
     assert [len(answer.boxes) for answer in found if isinstance(answer, Detections)] == [0, 0, 1]
 
 
-def test_another_stream_and_another_window_are_not_compared(tmp_path: Path) -> None:
+@pytest.mark.parametrize("operator", [Saliency, MovedSaliency])
+@pytest.mark.parametrize(
+    ("stream", "left", "found"), [("test", 0, 1), ("other", 0, 0), ("test", 80, 0)],
+    ids=["the same", "another stream", "another window"],
+)  # fmt: skip
+def test_only_pictures_of_one_stream_and_one_window_are_compared(
+    tmp_path: Path,
+    operator: type[Saliency] | type[MovedSaliency],
+    stream: str,
+    left: int,
+    found: int,
+) -> None:
     weights = changing_network(tmp_path / "n.onnx")
     plain, marked = seen(scenery()), with_ball(seen(scenery()), 240, 135)
     frames = [
         Frame(header=header(0), pixels=plain, window=(0, 0, 1920, 1080)),
-        Frame(header=header(1, stream="other"), pixels=marked, window=(0, 0, 1920, 1080)),
-        Frame(header=header(2, stream="other"), pixels=plain, window=(80, 0, 2000, 1080)),
+        Frame(header=header(1, stream=stream), pixels=marked, window=(left, 0, 1920 + left, 1080)),
     ]
 
-    found = drive(Saliency, frames, {"weights": weights, "confidence": 0.2})
+    answers = drive(operator, frames, {"weights": weights, "confidence": 0.2})
 
-    assert [len(answer.boxes) for answer in found if isinstance(answer, Detections)] == [0, 0, 0]
+    assert [len(a.boxes) for a in answers if isinstance(a, Detections)] == [0, found]
+
+
+@pytest.mark.parametrize(
+    ("planes", "said", "told"),
+    [
+        (3, "True", r"\(1, 4, height, width\), as its metadata says difference: True"),
+        (4, "False", r"\(1, 3, height, width\), as its metadata does not say difference: True"),
+        (3, "'yes'", r"metadata difference: expected True or False, got 'yes'"),
+    ],
+)
+def test_weights_whose_metadata_contradict_their_input_are_refused(
+    tmp_path: Path, planes: int, said: str, told: str
+) -> None:
+    output = np.zeros((1, 6, 64), np.float32)
+    weights = constant_network(tmp_path / "n.onnx", output, planes=planes, difference=said)
+
+    with pytest.raises(WeightsError, match=told):
+        drive(Saliency, [], {"weights": weights})

@@ -38,7 +38,7 @@ def batch(label: int, box: tuple[float, ...] = BOX, ignored: bool = False) -> Ba
     return Batch(
         pictures=torch.zeros(1, 3, HEIGHT, WIDTH), boxes=torch.tensor([[box]]),
         labels=torch.tensor([[label]]), ignored=torch.tensor([[ignored]]),
-            difference=torch.zeros(1, 1, HEIGHT, WIDTH),
+        difference=torch.zeros(1, 1, HEIGHT, WIDTH),
     )  # fmt: skip
 
 

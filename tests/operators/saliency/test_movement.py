@@ -102,8 +102,34 @@ def test_pasted_balls_change_the_difference_only_where_there_is_one(seed: int) -
     assert without.difference is None
     assert np.array_equal(without.picture, found.picture)
     assert found.difference is not None
-    changed = np.abs(found.picture.astype(int) - scene().picture).max(2) > 0
-    assert found.difference[changed].size or not found.difference.any()
+    new = np.argwhere(np.abs(found.picture.astype(int) - scene().picture).max(2) > 0)
+    far = np.ones(found.difference.shape, np.bool_)
+    for y, x in new:  # what moves was at most so far away
+        far[max(y - 60, 0) : y + 61, max(x - 60, 0) : x + 61] = False
+    assert not found.difference[far].any()
+
+
+def test_most_pasted_balls_that_move_are_new_where_they_are_and_gone_where_they_were() -> None:
+    found = [paste(still(), np.random.default_rng(seed)).difference for seed in range(60)]
+
+    lighter = [float(d.max()) for d in found if d is not None]
+    darker = [float(d.min()) for d in found if d is not None]
+    assert np.mean(np.array(lighter) > 40) > 0.4
+    assert np.mean(np.array(darker) < -40) > 0.4
+    assert min(lighter) == 0
+
+
+@pytest.mark.parametrize("size_px", [(270, 40), (30, 400), (20, 20), (3, 3)])
+def test_pictures_of_any_size_have_a_frame_before(size_px: tuple[int, int]) -> None:
+    small = replace(
+        scene(), picture=np.full((size_px[1], size_px[0], 3), 90, np.uint8),
+        boxes=np.zeros((0, 4), np.float32), labels=np.zeros(0, np.int64),
+        ignored=np.zeros(0, np.bool_),
+    )  # fmt: skip
+
+    for seed in range(20):
+        found = in_motion(small, np.random.default_rng(seed)).difference
+        assert found is None or found.shape == size_px[::-1]
 
 
 def test_a_difference_goes_with_the_picture() -> None:
