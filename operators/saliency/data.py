@@ -14,8 +14,9 @@ from torch.utils.data import DataLoader, Dataset
 from operators.saliency.augment import BALL_LABEL, augment
 from operators.saliency.crops import augmented
 from operators.saliency.example import CONTEXT_PX, Example, resized, sides_of
-from operators.saliency.movement import KNOWN_SHARE, unpacked
+from operators.saliency.movement import KNOWN_SHARE
 from operators.saliency.pasting import Bank
+from operators.saliency.render import unpacked
 from operators.saliency.stills import Stills
 from operators.training.arrays import read
 from operators.training.device import moved
@@ -88,9 +89,10 @@ class Rendered(Dataset[Example]):
         pictures, truth = self._scenes[scene]
         rows = slice(truth["first"][row], truth["first"][row + 1])
         picture, difference = unpacked(pictures[row])
+        known = truth["known"][row] if "known" in truth else True
         return Example(
             picture=picture,
-            difference=difference,
+            difference=difference if known else None,
             boxes=truth["boxes"][rows],
             labels=truth["labels"][rows],
             ignored=truth["ignored"][rows],

@@ -52,7 +52,7 @@ def collect(
     `side_share`: side of the pictures it gets over that of the examples: a leaner context.
     """
     operator = Saliency(settings)
-    executor = Executor("saliency", operator)
+    executor, reads_difference = Executor("saliency", operator), settings.detector.reads_difference
     operator.open()
     marks: dict[str, list[tuple[NDArray[np.float32], NDArray[np.bool_]]]] = {}
     present = dict.fromkeys((*NAMES, f"{BALL} centre"), 0)
@@ -61,7 +61,7 @@ def collect(
         seen = shrunk(item.picture, side_share)
         window = (0, 0, width_px, height_px)
         operator.on_stream(header(2 * seq))  # the next example shows something else
-        if (before := frame_before(item)) is not None:
+        if reads_difference and (before := frame_before(item)) is not None:
             earlier = Frame(
                 header=header(2 * seq), pixels=shrunk(before, side_share), window=window,
                 pixel_format="grey8",

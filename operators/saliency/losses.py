@@ -15,7 +15,9 @@ from operators.saliency.data import Batch
 from operators.saliency.example import ANYONE, NAMES, PEOPLE
 from operators.saliency.model import BALL_STRIDE, STRIDES, Raw, ball_boxes, cell_centres
 
-MOVED_LEVELS = 10.0  # of 255; the noise of two smoothed pictures stays below
+# of 255; the noise of two smoothed pictures stays below. Where a training misjudges the camera's
+# movement, a still ball's edges reach it, too: such a ball is then wanted as one that moved
+MOVED_LEVELS = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)

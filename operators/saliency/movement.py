@@ -180,19 +180,5 @@ def frame_before(example: Example) -> NDArray[np.uint8] | None:
     return np.asarray(np.clip(np.rint(grey), 0, 255), np.uint8)
 
 
-def packed(picture: NDArray[np.uint8], difference: Array) -> NDArray[np.uint8]:
-    """A picture with its difference, halved, as a fourth channel: (h, w, 4)."""
-    halves = np.clip(np.rint(difference / 2) + 128, 0, 255).astype(np.uint8)
-    return np.dstack([picture, halves])
-
-
-def unpacked(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Array | None]:
-    """The picture and the difference of what `packed` made; none of a picture without one."""
-    if picture.shape[2] == 3:
-        return np.array(picture), None
-    halves = picture[..., 3].astype(np.float32) - 128
-    return np.ascontiguousarray(picture[..., :3]), halves * 2
-
-
 def _brightness(picture: NDArray[np.uint8]) -> Array:
     return brightness(picture).astype(np.float32)

@@ -20,7 +20,6 @@ from drivers.scenes.soccer import SoccerScene
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, FrameSource
 from operators.saliency.difference import FrameDifference
 from operators.saliency.example import CONTEXT_PX, NAMES, Example
-from operators.saliency.movement import packed
 from operators.training.arrays import outdated, write
 from operators.training.command_line import in_a_sentence
 from operators.training.identity import Identity, of_code
@@ -57,6 +56,22 @@ def context(source: FrameSource, index: int) -> NDArray[np.uint8]:
     """A picture of a source as the context shows it."""
     small = cv2.resize(source.picture(index), CONTEXT_PX, interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.uint8)
+
+
+def packed(picture: NDArray[np.uint8], difference: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """A picture with its difference, halved, as a fourth channel: (h, w, 4)."""
+    halves = np.clip(np.rint(difference / 2) + 128, 0, 255).astype(np.uint8)
+    return np.dstack([picture, halves])
+
+
+def unpacked(
+    picture: NDArray[np.uint8],
+) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
+    """The picture and the difference of what `packed` made; none of a picture without one."""
+    if picture.shape[2] == 3:
+        return np.array(picture), None
+    halves = picture[..., 3].astype(np.float32) - 128
+    return np.ascontiguousarray(picture[..., :3]), halves * 2
 
 
 def moments(seed: int, count: int, span: int) -> list[int]:
@@ -121,6 +136,7 @@ def _write(examples: Sequence[Example], path: Path, made: Identity) -> None:
     kept = [packed(e.picture, none if e.difference is None else e.difference) for e in examples]
     np.save(path.with_suffix(".npy"), np.stack(kept))
     truth = {
+        "known": np.array([e.difference is not None for e in examples]),  # whether it is
         "first": np.cumsum([0, *(len(e.labels) for e in examples)]),
         "boxes": np.concatenate([e.boxes for e in examples]),
         "labels": np.concatenate([e.labels for e in examples]),

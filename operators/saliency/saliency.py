@@ -129,7 +129,10 @@ class Saliency(Operator[SaliencySettings, Detections]):
         return answer(frame, to_sensor(found, placement, frame), appearance, detector)
 
     def _difference(self, frame: Frame, picture: NDArray[np.uint8]) -> NDArray[np.int16] | None:
-        """What changed since the last picture of the same window, for a network that reads it."""
+        """What changed since the last picture of the same window, for a network that reads it.
+
+        That is the last one that came: where frames are dropped, more has moved since.
+        """
         if not self._detector.reads_difference:
             return None
         if frame.window != self._window:  # a region of interest somewhere else

@@ -9,7 +9,7 @@ import torch
 
 from operators.saliency.data import Batch
 from operators.saliency.example import ANYONE, INPUT_PX, NAMES
-from operators.saliency.losses import losses
+from operators.saliency.losses import losses, moved
 from operators.saliency.model import STRIDES, Raw, cell_centres
 
 WIDTH, HEIGHT = INPUT_PX
@@ -70,3 +70,35 @@ def test_a_ball_that_may_be_anywhere_makes_no_place_empty() -> None:
 
     assert float(losses(lit, nowhere)["heat"]) > 100
     assert float(losses(lit, anywhere)["heat"]) == 0
+
+
+def ball(*changed: tuple[int, int, int]) -> Batch:
+    """Return a ball at 202, 102 and what changed: x, y and levels of places of 5x5 pixels."""
+    truth = batch(BALL, (199.0, 99.0, 205.0, 105.0))
+    for x, y, levels in changed:
+        truth.difference[0, 0, y - 2 : y + 3, x - 2 : x + 3] = levels / 2
+    return truth
+
+
+def moving(found: Batch) -> float:
+    """Return the loss of a head for a moving ball that is sure of one there."""
+    heat = torch.full((1, 1, HEIGHT // 4, WIDTH // 4), -8.0)
+    heat[0, 0, 25, 50] = 8.0
+    heads = (heat, torch.zeros(1, 4, HEIGHT // 4, WIDTH // 4))
+    return float(losses(replace(raw(), moving=heads), found)["moving heat"])
+
+
+def test_a_ball_moved_where_it_changed_more_than_noise() -> None:
+    assert moved(ball((200, 100, 60))).tolist() == [[True]]
+    assert moved(ball((200, 100, -60))).tolist() == [[True]]
+    assert moved(ball((200, 100, 6))).tolist() == [[False]]
+    assert moved(ball((240, 100, 60))).tolist() == [[False]]
+    assert moved(ball()).tolist() == [[False]]
+
+
+def test_only_a_ball_that_moved_is_wanted_of_its_head_and_a_still_one_is_not_in_its_way() -> None:
+    nothing = batch(BALL, (400.0, 200.0, 406.0, 206.0))
+
+    assert moving(ball((200, 100, 60))) < 1
+    assert moving(ball()) < 1  # may be found
+    assert moving(nothing) > 5

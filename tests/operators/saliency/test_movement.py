@@ -16,10 +16,9 @@ from operators.saliency.movement import (
     frame_before,
     in_motion,
     moved,
-    packed,
     roughened,
-    unpacked,
 )
+from operators.saliency.render import packed, unpacked
 
 SEEDS = st.integers(0, 2**20)
 BALL = NAMES.index("ball")

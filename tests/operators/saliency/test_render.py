@@ -21,6 +21,7 @@ def test_frames_of_a_sequence_become_examples_with_boxes_at_their_scale(tmp_path
 
     truth = np.load(tmp_path / "out" / "2.npz")
     assert count == 2
+    assert truth["known"].tolist() == [True, True]
     assert np.load(tmp_path / "out" / "2.npy").shape == (2, CONTEXT_PX[1], CONTEXT_PX[0], 4)
     assert truth["first"].tolist() == [0, 2, 2]
     assert truth["labels"].tolist() == [NAMES.index("player"), NAMES.index("ball")]
