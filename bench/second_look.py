@@ -2,9 +2,10 @@
 
 FOOTBALL is a folder of labelled stills. In each, the context's detector proposes balls down to a
 score of .1; full resolution around each is read by encoder and detector, as in
-`graphs/tracking.yaml`. Logistic regressions over the development match give the gains of
-`operators.verify` and of the policy (operators/policy/candidates.py); for the matches left out the
-table tells how often a ball is rated above another candidate, by each score alone and together.
+`graphs/tracking.yaml` at the first picture of a stream: a still has no frame before it. Logistic
+regressions over the development match give the gains of `operators.verify` and of the policy
+(operators/policy/candidates.py); for the matches left out the table tells how often a ball is rated
+above another candidate, by each score alone and together.
 """
 
 import json

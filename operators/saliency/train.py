@@ -30,9 +30,12 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:
     parser.add_argument(
         "--export",
         type=Path,
-        help="write detector.onnx here, with --width-px as trained, train nothing",
+        help="write detector.onnx here, with --width-px and --difference as trained, train nothing",
     )
-    parser.add_argument("--init", type=Path, help="checkpoint or .onnx to begin with")
+    parser.add_argument(
+        "--init", type=Path,
+        help="checkpoint, of a training with the same --difference, or .onnx to begin with",
+    )  # fmt: skip
     parser.add_argument(
         "--difference", action="store_true",
         help="add a head for a moving ball, which reads what changed since the frame before",
