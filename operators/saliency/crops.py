@@ -57,7 +57,7 @@ def augmented(
     example = paste_at_boards(example, bank, rng)
     example = paste_balls(example, bank, rng)
     if rng.random() < 0.15:
-        example = _with(example, clutter(example, rng))
+        example = replace(example, picture=clutter(example, rng))
     example = paste(example, rng)
     picture = recolour(example.picture, rng)
     if rng.random() < 0.15:
@@ -202,7 +202,7 @@ def painted(example: Example, places: list[list[int]], rng: np.random.Generator)
         hsv[..., 0], hsv[..., 1] = hue, saturation
         hsv[..., 2] = np.clip(bright + (value - value[own].mean()) * 0.7, 0, 255)
         part[own] = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[own]
-    return _with(example, picture)
+    return replace(example, picture=picture)
 
 
 def _part(
@@ -230,7 +230,7 @@ def _dressed(example: Example, places: list[list[int]], turn: int, light: float)
         hsv[..., 2] = cv2.convertScaleAbs(hsv[..., 2], alpha=light)
         turned = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)
         part[~green] = turned[~green]
-    return _with(example, picture)
+    return replace(example, picture=picture)
 
 
 def coarser(picture: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
@@ -239,7 +239,3 @@ def coarser(picture: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
     size = (max(1, round(width * share)), max(1, round(height * share)))
     small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.resize(small, (width, height)), np.uint8)
-
-
-def _with(example: Example, picture: NDArray[np.uint8]) -> Example:
-    return replace(example, picture=picture)

@@ -18,7 +18,6 @@ NEIGHBOURHOOD_PX, HALVINGS = 13, 2  # of a corner; a movement of up to half of i
 AGREE_PX = 1.0  # a corner that the fitted movement misses by more is of something that moved
 LEAST_AGREEING = 0.4  # share of the corners; with fewer the scene was cut
 FOLLOWED_PX = 640  # width at which corners are followed; larger pictures are shrunk for it
-Array = NDArray[np.float32]
 
 
 class FrameDifference:
