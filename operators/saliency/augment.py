@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.saliency.example import BALL, NAMES, Example
-from operators.saliency.movement import ball_movement, moved, person_movement, roughened
+from operators.saliency.movement import ball_movement, person_movement, roughened, with_motion
 from operators.saliency.sensor_noise import through_sensor
 from operators.training.photometric import degrade, recolour
 
@@ -144,7 +144,7 @@ def paste(example: Example, rng: np.random.Generator) -> Example:
         _draw_lookalike(picture, somewhere(example, rng), tall, rng)
         # a boot moves, a scrap of paper does not
         shift = person_movement(tall, rng) * np.float32(rng.integers(2))
-        difference = moved(difference, under, picture, shift)
+        difference = with_motion(difference, under, picture, shift)
     found = []
     for _ in range(rng.poisson(1.2)):
         under = picture.copy()
@@ -152,7 +152,7 @@ def paste(example: Example, rng: np.random.Generator) -> Example:
         smear, shift = ball_movement(diameter, rng)
         place = somewhere(example, rng) if shift.any() else at_rest(example, rng)
         found.append(_draw_ball(picture, place, diameter, smear, rng))
-        difference = moved(difference, under, picture, shift)
+        difference = with_motion(difference, under, picture, shift)
     balls = np.array(found, np.float32).reshape(-1, 4)
     pasted = replace(
         example,

@@ -133,7 +133,7 @@ def balls_of(batch: Batch) -> Tensor:
     return batch.labels == NAMES.index("ball")
 
 
-def moved(batch: Batch) -> Tensor:
+def has_moved(batch: Batch) -> Tensor:
     """(B, M): the middle of which objects changed more than noise does since the frame before."""
     smooth = F.avg_pool2d(batch.difference.float() * 2, 3, 1, 1).abs()  # levels
     most = F.max_pool2d(smooth, 5, 1, 2)[:, 0]
@@ -168,6 +168,6 @@ def losses(net_output: Raw, batch: Batch) -> dict[str, Tensor]:
     heat, place = ball_loss(net_output.heat, net_output.ball, batch, balls)
     parts = {"people": people, "boxes": 2.0 * boxes, "heat": heat, "place": 2.0 * place}
     if net_output.moving is not None:
-        heat, place = ball_loss(*net_output.moving, batch, balls & moved(batch))
+        heat, place = ball_loss(*net_output.moving, batch, balls & has_moved(batch))
         parts |= {"moving heat": heat, "moving place": 2.0 * place}
     return parts

@@ -1,8 +1,8 @@
 """The shipped detector's network: pictures (B, 3, H, W) -> people at strides 8-32, a ball at 4.
 
 Made with `difference` it takes a fourth channel, what changed since the frame before, and has a
-second head for a ball that moves: people, features and the ball that lies still are what they are
-without it.
+second head for a ball that moves; where that one is surer, its ball is reported. People and
+features do not depend on it.
 
 Own design from published ideas: cross-stage blocks (Wang et al., CSPNet 2019) in plain 3x3
 convolutions with ReLU, which ONNX Runtime fuses; a top-down and a bottom-up neck (Lin et al. 2017,

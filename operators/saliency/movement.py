@@ -44,7 +44,7 @@ def person_movement(tall_px: float, rng: np.random.Generator) -> Array:
     return np.asarray(step, np.float32)
 
 
-def moved(
+def with_motion(
     difference: Array | None, before: NDArray[np.uint8], after: NDArray[np.uint8], shift_px: Array
 ) -> Array | None:
     """The difference of a picture into which something was laid that moved by `shift_px`.
@@ -57,7 +57,9 @@ def moved(
         brightness(np.asarray(cv2.absdiff(before, after), np.uint8))
     )
     gain = _brightness(after) - _brightness(before)
-    return _left_behind(difference.copy(), gain, (x, y, wide, high), shift_px)
+    changed = difference.copy()
+    _left_behind(changed, gain, (x, y, wide, high), shift_px)
+    return changed
 
 
 def in_motion(example: Example, rng: np.random.Generator) -> Example:
@@ -120,19 +122,21 @@ def _object_in_motion(
 
 def _left_behind(
     difference: Array, gain: Array, part: tuple[int, int, int, int], shift_px: Array
-) -> Array:
-    """Add a gain of brightness where a thing is, in `part` (x, y, w, h); take it where it was."""
+) -> None:
+    """Add a gain of brightness where a thing is, in `part` (x, y, w, h); take it where it was.
+
+    `difference` (h, w) is changed in place.
+    """
     height, width = difference.shape
     x, y, wide, high = part
     reach = int(np.ceil(np.abs(shift_px).max())) + 1
     x0, y0 = max(x - reach, 0), max(y - reach, 0)
     x1, y1 = min(x + wide + reach, width), min(y + high + reach, height)
     if wide < 1 or high < 1 or x1 - x0 < 1 or y1 - y0 < 1:
-        return difference
+        return
     own = np.zeros((y1 - y0, x1 - x0), np.float32)
     own[y - y0 : y - y0 + high, x - x0 : x - x0 + wide] = gain[y : y + high, x : x + wide]
     difference[y0:y1, x0:x1] += own - _shifted(own, shift_px, cv2.BORDER_CONSTANT)
-    return difference
 
 
 def _shifted(values: Array, shift_px: Array, border: int = cv2.BORDER_REPLICATE) -> Array:

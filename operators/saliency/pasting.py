@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from operators.saliency.augment import BALL_LABEL, BALL_TO_PERSON, at_rest, somewhere
 from operators.saliency.example import NAMES, Example
-from operators.saliency.movement import ball_movement, moved, person_movement
+from operators.saliency.movement import ball_movement, person_movement, with_motion
 
 Array = NDArray[np.float32]
 REFEREE_LABEL = NAMES.index("referee")
@@ -312,5 +312,5 @@ def _laid(
         boxes=np.concatenate([example.boxes, tight]),
         labels=np.append(example.labels, label),
         ignored=np.append(example.ignored, False),
-        difference=moved(example.difference, example.picture, picture, shift_px),
+        difference=with_motion(example.difference, example.picture, picture, shift_px),
     )

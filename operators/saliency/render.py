@@ -136,7 +136,7 @@ def _write(examples: Sequence[Example], path: Path, made: Identity) -> None:
     kept = [packed(e.picture, none if e.difference is None else e.difference) for e in examples]
     np.save(path.with_suffix(".npy"), np.stack(kept))
     truth = {
-        "known": np.array([e.difference is not None for e in examples]),  # whether it is
+        "known": np.array([e.difference is not None for e in examples]),  # if there is one
         "first": np.cumsum([0, *(len(e.labels) for e in examples)]),
         "boxes": np.concatenate([e.boxes for e in examples]),
         "labels": np.concatenate([e.labels for e in examples]),

@@ -9,7 +9,7 @@ import torch
 
 from operators.saliency.data import Batch
 from operators.saliency.example import ANYONE, INPUT_PX, NAMES
-from operators.saliency.losses import losses, moved
+from operators.saliency.losses import has_moved, losses
 from operators.saliency.model import STRIDES, Raw, cell_centres
 
 WIDTH, HEIGHT = INPUT_PX
@@ -89,11 +89,11 @@ def moving(found: Batch) -> float:
 
 
 def test_a_ball_moved_where_it_changed_more_than_noise() -> None:
-    assert moved(ball((200, 100, 60))).tolist() == [[True]]
-    assert moved(ball((200, 100, -60))).tolist() == [[True]]
-    assert moved(ball((200, 100, 6))).tolist() == [[False]]
-    assert moved(ball((240, 100, 60))).tolist() == [[False]]
-    assert moved(ball()).tolist() == [[False]]
+    assert has_moved(ball((200, 100, 60))).tolist() == [[True]]
+    assert has_moved(ball((200, 100, -60))).tolist() == [[True]]
+    assert has_moved(ball((200, 100, 6))).tolist() == [[False]]
+    assert has_moved(ball((240, 100, 60))).tolist() == [[False]]
+    assert has_moved(ball()).tolist() == [[False]]
 
 
 def test_only_a_ball_that_moved_is_wanted_of_its_head_and_a_still_one_is_not_in_its_way() -> None:

@@ -15,8 +15,8 @@ from operators.saliency.movement import (
     ball_movement,
     frame_before,
     in_motion,
-    moved,
     roughened,
+    with_motion,
 )
 from operators.saliency.render import packed, unpacked
 
@@ -48,7 +48,7 @@ def test_a_thing_laid_into_a_picture_leaves_its_old_place(x: int, y: int) -> Non
     after = before.copy()
     after[30:34, 40:44] = 250
 
-    found = moved(np.zeros((60, 80), np.float32), before, after, np.array([x, y], np.float32))
+    found = with_motion(np.zeros((60, 80), np.float32), before, after, np.array([x, y], np.float32))
 
     wanted = np.zeros((60, 80), np.float32)
     wanted[30:34, 40:44] += 200
@@ -60,7 +60,7 @@ def test_a_thing_laid_into_a_picture_leaves_its_old_place(x: int, y: int) -> Non
 def test_without_a_frame_before_nothing_is_known_to_move() -> None:
     picture = scene().picture
 
-    assert moved(None, picture, picture, np.ones(2, np.float32)) is None
+    assert with_motion(None, picture, picture, np.ones(2, np.float32)) is None
     assert roughened(None, np.random.default_rng(1)) is None
     assert frame_before(scene()) is None
 
