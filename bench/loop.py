@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.machine import facts
-from bench.options import JSON, Bench, file_name, on_graph
+from bench.options import JSON, Bench, file_name, on_graph, told_changes
 from pipeline.cli.running import processes
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
@@ -41,8 +41,10 @@ def main(
     for number in range(rounds):
         console.print(f"round {number + 1} of {rounds}")
         reports.append(processes(plan, frames, 0.0, console))
-    result = {"bench": "loop", **facts(), "graph": file_name(graph), "frames": frames,
-              "summary": summarise(reports, plan.command_path()), "rounds": reports}  # fmt: skip
+    result = {"bench": "loop", **facts(), "graph": file_name(graph),
+              "source": file_name(source) if source else "", "changes": told_changes(changes),
+              "frames": frames, "summary": summarise(reports, plan.command_path()),
+              "rounds": reports}  # fmt: skip
     console.print(table(result["summary"]))
     if path:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -4,8 +4,10 @@
 """
 
 import json
+import re
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +54,27 @@ def page(folder: Path) -> str:
         texts = [text for at, _, _, text in sorted(entries) if at == number]
         if texts:
             parts += [f"## {section}", *texts]
+    parts[1:1] = [contents(parts)]
     return "\n\n".join(parts) + "\n"
+
+
+def contents(parts: Iterable[str]) -> str:
+    """Return links to the headings of sections and tables, a list as GitHub numbers them.
+
+    >>> print(contents(["## One hop", "### p50, in ms", "### p50 in ms"]))
+    - [One hop](#one-hop)
+      - [p50, in ms](#p50-in-ms)
+      - [p50 in ms](#p50-in-ms-1)
+    """
+    used: Counter[str] = Counter()
+    links = []
+    for depth, title in re.findall(r"^(##{1,3}) (.*)", "\n".join(parts), re.MULTILINE):
+        anchor = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+        again = f"-{used[anchor]}" if used[anchor] else ""
+        used[anchor] += 1
+        if len(depth) < 4:
+            links.append(f"{'  ' * (len(depth) - 2)}- [{title}](#{anchor}{again})")
+    return "\n".join(links)
 
 
 def parsed(path: Path, text: bytes) -> Any:

@@ -53,6 +53,10 @@ PLACES = {
         section="Tracking under a pixel budget", order=35,
         title="What a look at somebody gains the identities, by its kind",
     ),
+    "trackers": Place(
+        section="Tracking under a pixel budget", order=29,
+        title="The consumer alone: trackers started on the true box, beside each other",
+    ),
     "rois": Place(
         section="Tracking under a pixel budget", order=30,
         title="One large ROI against two and four small ones at equal pixels",

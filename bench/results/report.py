@@ -1,7 +1,6 @@
 """Reports that benches wrote themselves (`--json`, `--out`): their origin, figures and rows."""
 
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -9,15 +8,14 @@ from typing import Any, TypeVar
 import msgspec
 
 from bench.bus import CONTESTANTS
-from bench.results.markdown import cell, lines, table, table_of
+from bench.results.figures import figures, rows_of, spread
+from bench.results.markdown import cell, lines, table
 from bench.results.places import ELSEWHERE, PLACES, Place
 from bench.results.table import ResultError
 
 T = TypeVar("T")
-LONGEST_LIST = 12  # values of a list that are shown in one cell
 LONGEST_INTERVAL = 2
 LABELS = {contestant.module: contestant.label for contestant in CONTESTANTS}
-PLAIN = (str, int, float, type(None))
 
 
 class Machine(msgspec.Struct, frozen=True):
@@ -74,7 +72,14 @@ class Spread(msgspec.Struct, frozen=True):
     @property
     def told(self) -> str:
         """The three, as a cell."""
-        return f"{cell(self.median)} ({cell(self.min)} to {cell(self.max)})"
+        return spread(self.median, self.min, self.max)
+
+
+class Loop(msgspec.Struct, frozen=True):
+    """What is shown of `bench.loop` beside its other graphs; figure -> spread over rounds."""
+
+    loop: dict[str, Spread]
+    sum_of_handlers_ms: Spread
 
 
 class Watching(msgspec.Struct, frozen=True):
@@ -158,7 +163,11 @@ def render_reports(reports: Sequence[Report]) -> str:
     parts = [f"### {place_of(reports[0]).title}"]
     if reports[0].bench == "fuzz":
         return "\n\n".join([*parts, *(origin_of(r) for r in reports), _fuzz(reports)])
+    if len(reports) > 1 and reports[0].bench in OVERVIEWS:
+        parts.append(OVERVIEWS[reports[0].bench](reports))
     for report in reports:
+        if len(reports) > 1:
+            parts.append(f"#### {report.path.stem}")
         parts.append(origin_of(report))
         parts += FORMS.get(report.bench, _values)(report)
     return "\n\n".join(parts)
@@ -202,6 +211,20 @@ def _soak(report: Report) -> list[str]:
     ]
     columns = ["process", "first minute, MB", "last minute, MB", "grown, MB"]
     return [verdict, table(columns, memory), *_spans(report.values.get("overlap", {}))]
+
+
+def _loops(reports: Sequence[Report]) -> str:
+    """Return a table of the loop with every graph that was measured."""
+    shown = {
+        "latency_ms_p50": "loop p50, ms", "latency_ms_p99": "p99, ms",
+        "overhead_ms_p50": "beyond the handlers p50, ms",
+    }  # fmt: skip
+    rows = []
+    for report in reports:
+        found = _convert(report.path, report.values.get("summary"), Loop)
+        figures_ = [found.loop[name].told if name in found.loop else "–" for name in shown]
+        rows.append([report.path.stem, *figures_, found.sum_of_handlers_ms.told])
+    return table(["report", *shown.values(), "handlers on its way, ms"], rows)
 
 
 def _watching(report: Report) -> list[str]:
@@ -250,29 +273,13 @@ def _spans(values: Mapping[str, Any]) -> list[str]:
     note = "First and last are up to ten spans each: of fewer than twenty spans they share some."
     columns = ["target", "figure", "first", "last", "difference"]
     plain = {k: v for k, v in values.items() if k != "ends"}
-    return [table(columns, rows), note, *_tables(plain)]
+    return [table(columns, rows), note, *rows_of(plain)]
 
 
 def _values(report: Report) -> list[str]:
-    """Return Markdown of any report: a table of its single figures, and one per list of rows."""
-    flat = [[name, cell(value)] for name, value in _scalars(report.values)]
-    return [table(["figure", "value"], flat), *_tables(report.values)]
-
-
-def _tables(values: Mapping[str, Any]) -> list[str]:
-    found = []
-    for name, rows in values.items():
-        if _is_rows(rows):
-            found += [f"`{name}`:", table_of(rows)]
-    return found
-
-
-def _is_rows(value: Any) -> bool:
-    """Whether a value is a list of mappings to single figures."""
-    return bool(value) and isinstance(value, list) and all(
-        isinstance(row, Mapping) and row and all(isinstance(v, PLAIN) for v in row.values())
-        for row in value
-    )  # fmt: skip
+    """Return Markdown of any report: all its figures but its origin."""
+    own = {k: v for k, v in report.values.items() if k not in Origin.__struct_fields__}
+    return figures(own)
 
 
 def _strategies(report: Report) -> list[str]:
@@ -297,21 +304,7 @@ def _of_strategy(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _scalars(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every single figure below a mapping; lists of values are one text."""
-    for key, value in values.items():
-        name = f"{prefix}{key}"
-        if name in Origin.__struct_fields__:
-            continue
-        if isinstance(value, Mapping):
-            yield from _scalars(value, f"{name}.")
-        elif isinstance(value, list):
-            if len(value) <= LONGEST_LIST and not any(isinstance(v, (list, dict)) for v in value):
-                yield name, json.dumps(value)
-        else:
-            yield name, value
-
-
+OVERVIEWS: Mapping[str, Callable[[Sequence[Report]], str]] = {"loop": _loops}
 FORMS: Mapping[str, Callable[[Report], list[str]]] = {
     "follow": _follow, "soak": _soak, "watching": _watching, "bus": _bus,
     "reading": _strategies, "shirts": _strategies, "manipulation": _strategies,

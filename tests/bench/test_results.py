@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.machine import facts
+from bench.results.figures import figures
 from bench.results.page import FOLDER, PAGE, main, page
 from bench.results.table import SECTIONS, ResultError
 
@@ -19,6 +20,7 @@ TABLE = {
     "source": "README at commit 1234567", "columns": ["a", "b"], "rows": [[1, ".5 | .6"]],
 }  # fmt: skip
 ORIGIN = facts() | {"commit": "1234567" * 5}
+LOOP = {"latency_ms_p50": 20, "latency_ms_p99": 40, "p50": 20}
 ROOT = Path(__file__).resolve().parents[2]
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=9),
@@ -61,7 +63,7 @@ def test_transcribed_figures_are_marked_and_keep_their_cells(tmp_path: Path) -> 
 
 def test_a_report_of_any_bench_shows_its_origin_figures_and_rows(tmp_path: Path) -> None:
     report = ORIGIN | {
-        "bench": "loop", "dirty": True, "summary": {"loop": {"p50": 24.1}},
+        "bench": "loop", "dirty": True, "graph": "a.yaml", "summary": {"loop": {"p50": 24.1}},
         "rows": [{"node": "policy", "ms": 1.5}], "rounds": [[{"deep": 1}]],
     }  # fmt: skip
 
@@ -69,8 +71,55 @@ def test_a_report_of_any_bench_shows_its_origin_figures_and_rows(tmp_path: Path)
 
     assert "- Source: measured (`bench/results/anything.json`)" in text
     assert "- Commit: 1234567, with local changes" in text
-    assert "| summary.loop.p50 | 24.1 |" in text
+    assert "- Run: graph a.yaml\n- summary: loop: p50 24.1" in text
     assert "| policy | 1.5 |" in text
+
+
+def test_groups_with_the_same_figures_are_rows_of_one_table() -> None:
+    spread = {"median": 2.0, "min": 1.0, "max": 3.5}
+    estimate = {"mean": 0.7, "interval": [0.6, 0.8]}
+    values = {
+        "frames": 9,
+        "worlds": {
+            "drawn": {"ball": {"n": 8, "iou": estimate}, "player": {"n": 9, "ms": spread}},
+            "footage": {"ball": {"n": 1, "iou": {"mean": 0.5, "interval": []}}},
+        },
+    }
+
+    facts_, table = figures(values)
+
+    assert facts_ == "- Run: frames 9\n- Ranges: mean (interval); median (min to max)"
+    assert table.splitlines() == [
+        "| worlds |  | n | iou | ms |",
+        "|---|---|---|---|---|",
+        "| drawn | ball | 8 | 0.7 (0.6 to 0.8) | – |",
+        "| drawn | player | 9 | – | 2 (1 to 3.5) |",
+        "| footage | ball | 1 | 0.5 | – |",
+    ]
+
+
+def test_a_few_groups_of_many_figures_are_the_columns_of_their_table() -> None:
+    values = {"of": {name: {f"figure {n}": n for n in range(12)} for name in ("a", "b")}}
+
+    (table,) = figures(values)
+
+    assert table.splitlines()[:3] == ["| of | a | b |", "|---|---|---|", "| figure 0 | 0 | 0 |"]
+
+
+def test_several_reports_of_the_loop_begin_with_one_table_of_all(tmp_path: Path) -> None:
+    of = {name: {"median": ms, "min": ms, "max": ms + 1} for name, ms in LOOP.items()}
+    report = ORIGIN | {"bench": "loop", "summary": {"loop": of, "sum_of_handlers_ms": of["p50"]}}
+
+    text = page(folder_of(tmp_path, loop=report, loop_text=report))
+
+    assert "| loop_text | 20 (20 to 21) | 40 (40 to 41) | – | 20 (20 to 21) |" in text
+    assert text.index("| loop_text |") < text.index("#### loop\n") < text.index("#### loop_text")
+
+
+def test_every_section_and_table_is_linked_at_the_top(tmp_path: Path) -> None:
+    text = page(folder_of(tmp_path, sample=TABLE, other=TABLE | {"id": "other"}))
+
+    assert "  - [A sample](#a-sample)\n  - [A sample](#a-sample-1)\n" in text
 
 
 @pytest.mark.parametrize(
