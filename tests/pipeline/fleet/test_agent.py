@@ -41,6 +41,8 @@ from tests.pipeline.fleet.agents import (
 )
 from tests.sample_graphs import until
 
+pytestmark = pytest.mark.hosts
+
 LABELS = ("sensor", "compute", "viewer")
 
 

@@ -27,6 +27,8 @@ from tests.pipeline.fleet.agents import (
 from tests.pipeline.run.bad_link import BadLink
 from tests.sample_graphs import until
 
+pytestmark = pytest.mark.hosts
+
 LABELS = ("sensor", "compute", "viewer")
 
 

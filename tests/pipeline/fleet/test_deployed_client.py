@@ -29,6 +29,8 @@ from tests.pipeline.fleet.agents import (
 )
 from tests.sample_graphs import until
 
+pytestmark = pytest.mark.hosts
+
 MORE = """
 nodes:
   second:

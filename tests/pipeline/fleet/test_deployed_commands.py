@@ -15,6 +15,8 @@ from tests.json_answers import ANSWERS, check
 from tests.pipeline.fleet.agents import DUO, agents, fleet_of, handled, plan_of, state_of
 from tests.sample_graphs import until
 
+pytestmark = pytest.mark.hosts
+
 SPARE = """\
   spare:
     operator: tests.samples:Count

@@ -38,6 +38,8 @@ from tests.pipeline.fleet.test_deployed_client import (
 )
 from tests.sample_graphs import until
 
+pytestmark = pytest.mark.hosts
+
 NODES = {"eye": ["capture"], "brain": ["work", "count"]}
 
 

@@ -20,7 +20,10 @@ from pipeline.fleet.names import user_identity
 from tests.pipeline.fleet.agents import TRIO
 from tests.sample_graphs import until
 
-pytestmark = pytest.mark.skipif(not permitted(), reason="network namespaces are not permitted here")
+pytestmark = [
+    pytest.mark.hosts,
+    pytest.mark.skipif(not permitted(), reason="network namespaces are not permitted here"),
+]
 AHEAD_S = 1000
 
 

@@ -20,6 +20,7 @@ from pipeline.fleet.router import permits_of, read_router
 from pipeline.recording.reader import Recording
 from tests.sample_graphs import until
 
+pytestmark = pytest.mark.hosts
 pytest.importorskip("cryptography", reason="needs the fleet extra")
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
