@@ -11,6 +11,7 @@ import numpy as np
 
 from operators.policy.candidates import odds
 from operators.policy.verdicts import EVEN
+from operators.policy.verifying import OWN_GAIN
 from pipeline.errors import RunError
 
 Part = tuple[str, Any]  # module:name, and what stands there instead
@@ -48,6 +49,11 @@ def none_of(*arguments: Any) -> Any:
 def unseen(tracks: Any, shown: Any) -> Any:
     """Return the odds of tracks of which the ROI showed nothing: (n,)."""
     return odds(tracks, np.full_like(shown, EVEN))
+
+
+def alone(_: Any, worth: Any) -> Any:
+    """What the window around each track shows, of that track alone: (n,)."""
+    return worth
 
 
 LEARNED = {
@@ -91,7 +97,34 @@ PURSUIT = {
     ),
     "the field is searched": Rule(changes=("policy.patience=1000000",)),
 }  # fmt: skip
-RULES: dict[str, dict[str, Rule]] = {"learned": LEARNED, "pursuit": PURSUIT}  # by policy
+VERIFYING = {
+    "candidates are looked at": Rule(changes=("policy.sought=0",)),
+    "a verdict takes several looks": Rule(changes=("policy.looks=2",)),
+    "a window shows several candidates": Rule(parts=(("verifying:window_sums", alone),)),
+    "near its edge nothing is judged": Rule(parts=(("verifying:EDGE_PX", 0.0),)),
+    "what cannot be judged is given up": Rule(parts=(("verifying:LATE", 1_000_000),)),
+    "the search ends": Rule(changes=("policy.sought=1000000",)),
+    "beside an unsure target others are looked at": Rule(
+        parts=(("verifying:beside", returns(1.0)),)
+    ),
+    "what the context is sure of needs no looks": Rule(
+        parts=(("verifying:PLAIN", 1_000_000),)
+    ),
+    "an unlikely candidate is none": Rule(changes=("policy.least_probability=0",)),
+    "a rival must be clearly better": Rule(parts=(("verifying:MARGIN", 0.0),)),
+    "the target's odds change slowly": Rule(parts=(("verifying:OWN_GAIN", 1.0),)),
+    "a hidden target keeps its odds": Rule(
+        parts=(("verifying:HIDDEN_GAIN", OWN_GAIN),)
+    ),
+    "a target is kept while it is refuted": Rule(parts=(("verifying:REFUTED", 1),)),
+    "a lost target is waited for": Rule(parts=(("verifying:well_known", returns(False)),)),
+    "it is followed on its way": Rule(parts=(("verifying:escaped", returns(-1)),)),
+    "a person nearby carries it": Rule(parts=(("pursuit:can_carry", nobody),)),
+    "people are searched": Rule(parts=(("pursuit:busiest", returns(None)),)),
+}  # fmt: skip
+RULES: dict[str, dict[str, Rule]] = {  # by policy
+    "learned": LEARNED, "pursuit": PURSUIT, "verifying": VERIFYING
+}  # fmt: skip
 
 
 @contextmanager

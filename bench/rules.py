@@ -38,9 +38,10 @@ from pipeline.run.inline import InlineRunner
 
 ALL = "all rules"
 FIRST_CLIP = 50_000  # seeds on which rules may be chosen; figures of tables begin at 70,000
+OF_THE_GRAPH = "of the graph"
 POLICIES = {  # as `planned` takes them
     "learned": str(ROOT / "operators" / "policy" / "policy.onnx"), "pursuit": "pursuit",
-    "of the graph": "",
+    OF_THE_GRAPH: "",
 }  # fmt: skip
 FIGURES = ("share in the ROI", "IoU")
 NOWHERE = np.zeros((0, 4), np.float32)
@@ -95,6 +96,12 @@ class Watch:
             and self.object_id in (-1, int(truth.ids[row]))
         ]
         return truth.boxes[rows]
+
+
+def rules_of(plan: Plan) -> Mapping[str, Rule]:
+    """Return the rules of a graph's policy by what they say; none of one without such."""
+    classes = {node.name: node.operator.partition(":")[2] for node in plan.nodes}
+    return RULES.get(classes.get("policy", "").removesuffix("Policy").lower(), {})
 
 
 def first_truth(plan: Plan) -> Truth:
@@ -207,7 +214,7 @@ def worded(middle: float, low: float, high: float) -> str:
     type=click.IntRange(1),
     help="Objects of each boxed class in each clip that are asked for in turn.",
 )
-@click.option("--policies", default=",".join(RULES), show_default=True)
+@click.option("--policies", default="learned,pursuit", show_default=True)
 @click.option(
     "--starts",
     default=1,
@@ -230,11 +237,14 @@ def main(
     for name in policies.split(","):
         if name not in POLICIES:
             raise RunError(f"--policies: expected some of {', '.join(POLICIES)}, got {name[:40]!r}")
-    cases = [
-        (policy, name, rule)
-        for policy in policies.split(",")
-        for name, rule in {ALL: None, **({} if whole else RULES.get(policy, {}))}.items()
-    ]
+    cases = []
+    for policy in policies.split(","):
+        rules = (
+            {}
+            if whole
+            else rules_of(planned(graph, changes, policy=POLICIES[policy], source=source))
+        )
+        cases += [(policy, name, rule) for name, rule in {ALL: None, **rules}.items()]
     found: dict[tuple[str, str, str], dict[str, Watch]] = {}
     seeds = range(first_clip, first_clip + clips)
     worlds = {f"clip {seed}": [(*changes, f"capture.seed={seed}")] for seed in seeds}

@@ -39,7 +39,8 @@ from pipeline import Header, RoiFeatures, SettingsError, Tracks
 from pipeline.boxes import centres
 
 EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge nothing is judged
-OWN_GAIN = 0.2  # of the latest frame in the odds of the present target
+OWN_GAIN = 0.2  # of the latest frame in the odds of the present target, where it is visible
+HIDDEN_GAIN = 0.0  # where it is not
 REFUTED = 120  # frames in succession after which what the ROI refutes is let go
 LATE = 6  # frames more than `looks` for which a candidate is waited for
 # a lost target on its way: the least score in the context, and how far from where it was last seen
@@ -169,8 +170,7 @@ def seek(
     search, row, shown, horizon = now.search, row_of(tracks, now.locked), -1, rules.horizon
     if row >= 0:
         now = noted(tracks, row, now, now.spec)
-        sure = probability(odds)[row] >= SURE
-        search = looked_at(tracks, now, chances, rules, 1.0 if sure else float(chances[row]))
+        search = looked_at(tracks, now, chances, rules, beside(odds, chances, row))
         shown = row_of(tracks, search.shown_id)
     elif not search.followed:  # it was none: nothing is known of the target
         now = replace(now, seen_seq=-1, carrier_id=-1)
@@ -184,13 +184,22 @@ def seek(
     if row < 0:
         now, away = replace(now, search=search), escaped(tracks, now, rules)
         return (follow(tracks, away, horizon), now) if away >= 0 else unlocked(tracks, now, rules)
-    kept = search.kept + 1
-    followed = search.followed or (not search.refuted and kept >= rules.patience)
-    now = replace(now, search=replace(search, kept=kept, followed=followed))
+    search = replace(search, kept=search.kept + 1)
+    now = replace(now, search=replace(search, followed=well_known(search, rules)))
     carrier = carrier_of(tracks, now)
     if carrier >= 0:
         return stay(future(tracks, carrier, horizon), horizon), now
     return follow(tracks, row, horizon), now
+
+
+def beside(odds: NDArray[np.float32], chances: NDArray[np.float32], row: int) -> float:
+    """Return the probability above which a candidate is looked at beside a target; 1.0: none is."""
+    return 1.0 if probability(odds)[row] >= SURE else float(chances[row])
+
+
+def well_known(search: SearchState, rules: VerifyingPolicySettings) -> bool:
+    """Whether a target was followed for so long that, once lost, it is waited for."""
+    return search.followed or (not search.refuted and search.kept >= rules.patience)
 
 
 def escaped(tracks: Tracks, now: VerifyingState, rules: VerifyingPolicySettings) -> int:
@@ -221,7 +230,7 @@ def target_odds(tracks: Tracks, now: VerifyingState) -> NDArray[np.float32]:
     odds = faint_odds(tracks.scores, verdicts.of(ids), verdicts.settled(ids))
     own = row_of(tracks, now.locked)
     if own >= 0:
-        gain = OWN_GAIN if tracks.visible[own, -1] else 0.0
+        gain = OWN_GAIN if tracks.visible[own, -1] else HIDDEN_GAIN
         odds[own] = now.search.odds + gain * (odds[own] - now.search.odds)
     return np.where(of_class(tracks, now.spec.label), odds, np.float32(-np.inf))
 
