@@ -7,15 +7,17 @@ import json
 import re
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
 from bench.options import Bench
+from bench.results.plots import draw_report, draw_table
 from bench.results.report import Report, place_of, read_report, render_reports
-from bench.results.table import SECTIONS, ResultError, read_table, render
+from bench.results.table import SECTIONS, ResultError, ResultTable, read_table, render
 
 FOLDER = Path(__file__).resolve().parent
 PAGE = FOLDER.parent / "RESULTS.md"
@@ -32,19 +34,37 @@ What reports of commits before 43c4367 call `graphs/tracking.yaml` is `graphs/le
 and their `graphs/broadcast.yaml` is `graphs/tracking.yaml`."""
 
 
-def page(folder: Path) -> str:
-    """Return the text of the page; raises `ResultError` for an invalid file."""
-    entries: list[tuple[int, int, str, str]] = []
-    reports: dict[str, list[Report]] = defaultdict(list)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Files:
+    """What a folder of result files contains."""
+
+    tables: Sequence[ResultTable]
+    reports: Sequence[Report]
+
+
+def read(folder: Path) -> Files:
+    """Return tables and reports of a folder, by name; raises `ResultError` for an invalid file."""
+    tables, reports = [], []
     for path in sorted(folder.glob("*.json")):
         text = path.read_bytes()
         values = parsed(path, text)
         if isinstance(values, dict) and ("id" in values or "columns" in values):
-            found = read_table(path, text)
-            entries.append((SECTIONS.index(found.section), found.order, found.id, render(found)))
+            tables.append(read_table(path, text))
         else:
-            report = read_report(path, values)
-            reports[report.bench].append(report)
+            reports.append(read_report(path, values))
+    return Files(tables=tables, reports=reports)
+
+
+def page(folder: Path) -> str:
+    """Return the text of the page; raises `ResultError` for an invalid file."""
+    files = read(folder)
+    entries = [
+        (SECTIONS.index(table.section), table.order, table.id, render(table, folder))
+        for table in files.tables
+    ]
+    reports: dict[str, list[Report]] = defaultdict(list)
+    for report in files.reports:
+        reports[report.bench].append(report)
     for bench, of_bench in reports.items():
         place = place_of(of_bench[0])
         at = SECTIONS.index(place.section)
@@ -85,15 +105,32 @@ def parsed(path: Path, text: bytes) -> Any:
         raise ResultError(f"{path.name}: expected JSON, got {error}") from error
 
 
+def draw(folder: Path) -> list[Path]:
+    """Draw the tables and reports that have a picture, beside their files; return the pictures."""
+    files, drawn = read(folder), []
+    for table in files.tables:
+        path = folder / f"{table.id}.png"
+        if not table.plot and draw_table(table, path):
+            drawn.append(path)
+    for report in files.reports:
+        path = report.path.with_suffix(".png")
+        if draw_report(report, path):
+            drawn.append(path)
+    return drawn
+
+
 @click.command(cls=Bench)
 @click.option("--check", is_flag=True, help="Compare the page with the files; write nothing.")
+@click.option("--plots", is_flag=True, help="Draw the pictures first: needs matplotlib.")
 @click.option(
     "--folder", default=FOLDER, type=click.Path(path_type=Path, exists=True, file_okay=False),
     help="Where the result files are.",
 )  # fmt: skip
 @click.option("--out", default=PAGE, type=click.Path(path_type=Path), help="The page.")
-def main(*, check: bool, folder: Path, out: Path) -> None:
+def main(*, check: bool, plots: bool, folder: Path, out: Path) -> None:
     """Write bench/RESULTS.md from the result files."""
+    for path in draw(folder) if plots else ():
+        click.echo(f"{path.name}: drawn")
     text = page(folder)
     if not check:
         out.write_text(text)

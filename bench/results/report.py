@@ -169,6 +169,7 @@ def render_reports(reports: Sequence[Report]) -> str:
         if len(reports) > 1:
             parts.append(f"#### {report.path.stem}")
         parts.append(origin_of(report))
+        parts += [f"![{path.stem}](results/{path.name})" for path in plots_of(report)]
         parts += FORMS.get(report.bench, _values)(report)
     return "\n\n".join(parts)
 
@@ -177,7 +178,6 @@ def origin_of(report: Report) -> str:
     """Return where and by what a report was measured."""
     origin, machine = report.origin, report.origin.machine
     versions = {"Python": origin.python, **origin.libraries}
-    plots = sorted(p.name for p in report.path.parent.glob(f"{report.path.stem}*.png"))
     return lines({
         "Source": f"measured (`bench/results/{report.path.name}`)",
         "Machine": f"{machine.cpu}, {machine.cores} cores, {machine.memory_gib} GiB, "
@@ -185,8 +185,14 @@ def origin_of(report: Report) -> str:
         "Versions": ", ".join(f"{name} {v}" for name, v in versions.items() if v),
         "Commit": f"{origin.commit[:7]}{', with local changes' if origin.dirty else ''}",
         "Seed": "" if origin.seed is None else str(origin.seed),
-        "Plot": ", ".join(f"[{name}](results/{name})" for name in plots),
     })  # fmt: skip
+
+
+def plots_of(report: Report) -> list[Path]:
+    """Return the pictures beside a report, whose names begin with its own."""
+    others = {path.stem for path in report.path.parent.glob("*.json")} - {report.path.stem}
+    found = sorted(report.path.parent.glob(f"{report.path.stem}*.png"))
+    return [path for path in found if path.stem not in others]
 
 
 def _fuzz(reports: Sequence[Report]) -> str:

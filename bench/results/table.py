@@ -53,7 +53,7 @@ class ResultTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     columns: list[str]
     rows: list[list[str | int | float | None]]
     notes: list[str] = []  # paragraphs
-    plot: str = ""  # a picture beside the file
+    plot: str = ""  # a picture beside the file; without: that of the same name, if there is one
 
 
 _DECODER = msgspec.json.Decoder(ResultTable)
@@ -85,8 +85,8 @@ def read_table(path: Path, text: bytes) -> ResultTable:
     return found
 
 
-def render(found: ResultTable) -> str:
-    """Return the Markdown of a table, with its origin above it."""
+def render(found: ResultTable, folder: Path) -> str:
+    """Return the Markdown of a table of a folder, with its origin above it."""
     transcribed = found.source.startswith("README")
     origin = f"transcribed: {found.source}" if transcribed else found.source
     facts = {
@@ -105,6 +105,7 @@ def render(found: ResultTable) -> str:
     parts = [f"### {found.title}", lines(facts)]
     if found.rows:
         parts.append(table(found.columns, [[cell(c) for c in row] for row in found.rows]))
-    if found.plot:
-        parts.append(f"![{found.title}](results/{found.plot})")
+    plot = found.plot or f"{found.id}.png"
+    if (folder / plot).is_file():
+        parts.append(f"![{found.title}](results/{plot})")
     return "\n\n".join([*parts, *found.notes])

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from bench.machine import facts
 from bench.results.figures import figures
 from bench.results.page import FOLDER, PAGE, main, page
-from bench.results.table import SECTIONS, ResultError
+from bench.results.plots import curves_of
+from bench.results.table import SECTIONS, ResultError, read_table
 
 TABLE = {
     "id": "sample", "section": SECTIONS[1], "order": 0, "title": "A sample",
@@ -230,3 +231,47 @@ def test_a_hop_without_its_figures_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(ResultError, match=r"^bus\.json: "):
         page(tmp_path)
+
+
+BY_BUDGET = TABLE | {
+    "columns": ["target", "budget", "**foveated** (95 %)", "in ROI", "context", "− context"],
+    "rows": [["ball", "1/4", "**.6** (.5–.7)", ".9", ".4, .1", "+.2"],
+             ["ball", "1/8", ".5", ".8", "", "+.1"]],
+}  # fmt: skip
+
+
+def test_a_table_by_budget_gives_a_curve_for_each_strategy() -> None:
+    found = curves_of(read_table(Path("sample.json"), json.dumps(BY_BUDGET).encode()))
+
+    assert [(r["budget"], r["strategy"], r["iou"], r["ci95"]) for r in found] == [
+        ("1/4", "foveated", 0.6, [0.5, 0.7]),
+        ("1/4", "context", 0.4, None),
+        ("1/8", "foveated", 0.5, None),
+    ]
+
+
+def test_plots_are_drawn_beside_their_files_and_shown_but_those_of_a_bench_are_kept(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("matplotlib")
+    (tmp_path / "own.png").write_bytes(b"its bench drew it")
+    rule = {"policy": "pursuit", "target": "ball", "without": "all rules",
+            "share in the ROI: gained without": "", "IoU: gained without": ""}  # fmt: skip
+    gained = {"without": "search", "share in the ROI: gained without": "-0.1 (-0.2 .. +0.1)",
+              "IoU: gained without": "+0.0"}  # fmt: skip
+    folder_of(
+        tmp_path, sample=BY_BUDGET, own=BY_BUDGET | {"id": "own", "plot": "own.png"},
+        plain=TABLE | {"id": "plain"},
+        left_out=ORIGIN | {"bench": "rules", "rows": [rule, rule | gained]},
+    )  # fmt: skip
+
+    given_ = ["--plots", "--folder", str(tmp_path), "--out", str(tmp_path / "page.md")]
+    result = CliRunner().invoke(main, given_)
+
+    assert result.output.startswith("sample.png: drawn\nleft_out.png: drawn\n")
+    assert (tmp_path / "own.png").read_bytes() == b"its bench drew it"
+    assert sorted(p.name for p in tmp_path.glob("*.png")) == [
+        "left_out.png", "own.png", "sample.png"
+    ]  # fmt: skip
+    shown = re.findall(r"!\[.*?\]\(results/(.*?)\)", (tmp_path / "page.md").read_text())
+    assert sorted(shown) == ["left_out.png", "own.png", "sample.png"]
