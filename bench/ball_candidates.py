@@ -63,7 +63,7 @@ def candidates(
     for name in NAMES:
         looker.known(name)
     source = SoccerNetSequence(path=str(sequence))
-    truths = _truths(source)
+    truths = truths_of(source)
     balls = targets(truths, [BALL], players=1, seed=0)
     if not balls:
         raise DriverError(
@@ -115,7 +115,8 @@ def labelled(source: SoccerNetSequence, index: int, truth: Annotations) -> Label
     )
 
 
-def _truths(source: SoccerNetSequence) -> list[Annotations]:
+def truths_of(source: SoccerNetSequence) -> list[Annotations]:
+    """Return the truth of every frame of a sequence."""
     found = [source.truth(k) for k in range(source.length or 0)]
     return [truth for truth in found if truth is not None]
 

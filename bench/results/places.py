@@ -113,6 +113,10 @@ PLACES = {
         section="Networks and scenes", order=11,
         title="Versions of the detector and of its input, by match and scale",
     ),
+    "people_missed": Place(
+        section="Networks and scenes", order=12,
+        title="People missed in the context, by how much of them another person covers",
+    ),
     "fuzz": Place(
         section="Several hosts and security", order=5,
         title="Generated input: graph files, orders, bytes",
