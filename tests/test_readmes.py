@@ -296,9 +296,10 @@ def test_ci_runs_what_contributors_run() -> None:
     runs = " ".join(step.get("run", "") for step in job["steps"])
     assert job["strategy"]["matrix"]["python"] == ["3.11", "3.12", "3.13"]
     assert len(job["strategy"]["matrix"]["runner"]) == 2
-    assert re.findall(r"make \S+\)?\S* (\w+)", runs.replace('"$(command -v python)"', "P")) == [
+    assert re.findall(r"make \S+\)?\S* ([\w-]+)", runs.replace('"$(command -v python)"', "P")) == [
         "check",
         "test",
+        "test-hosts",
     ]
 
 
