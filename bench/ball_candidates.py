@@ -25,7 +25,7 @@ from bench.machine import facts
 from bench.options import JSON, Bench, file_name
 from bench.tracking.targets import targets
 from drivers.datasets.soccernet import SoccerNetSequence
-from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Annotations
+from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Annotations, FrameSource
 from operators.saliency.difference import FrameDifference
 from operators.saliency.example import BALL, NAMES
 from operators.saliency.judging import FLOOR
@@ -102,7 +102,7 @@ def changed(
     return difference.of(small.picture)
 
 
-def labelled(source: SoccerNetSequence, index: int, truth: Annotations) -> Labelled:
+def labelled(source: FrameSource, index: int, truth: Annotations) -> Labelled:
     """A frame with those objects of the detector's classes of which enough is visible."""
     kept = [
         row

@@ -23,11 +23,12 @@ from bench.detector_scoring import BEST, Looker, Marks, figures, spread, thresho
 from bench.machine import facts
 from bench.options import JSON, Bench, file_name
 from operators.saliency.judging import FLOOR
-from operators.training.splits import DEVELOPMENT, TEST
+from operators.training.splits import DEVELOPMENT, HELD_OUT, TEST
 from operators.training.stills import class_names, labelled, pictures_of
 from pipeline.errors import SettingsError
 from pipeline.whole_file import write_whole
 
+TRAINING = "training"  # on which a detector's figures say nothing
 SPLITS = {"all": ("",), "test": TEST, "development": DEVELOPMENT}
 # what the shipped detector's classes are called where labels know fewer, or have other names
 KNOWN = {"goalkeeper": "player", "sports ball": "ball"}
@@ -96,8 +97,19 @@ def scored(
 
 
 def of_split(folder: Path, split: str) -> list[Path]:
-    """Return the pictures of a part; raises `SettingsError` where a folder has none of it."""
-    found = [p for p in pictures_of(folder) if p.name.startswith(SPLITS[split])]
+    """Return the pictures of a part; raises `SettingsError` where a folder has none of it.
+
+    `split` is one of `SPLITS`, or `TRAINING`.
+    """
+    found = [
+        p
+        for p in pictures_of(folder)
+        if (
+            not p.name.startswith(HELD_OUT)
+            if split == TRAINING
+            else p.name.startswith(SPLITS[split])
+        )
+    ]
     if not found:
         raise SettingsError(f"{folder}: expected pictures of the {split} split, got none")
     return found

@@ -131,11 +131,11 @@ def of_sequence(folder: Path, looker: Looker, every: int) -> Iterator[tuple[Labe
     source.close()
 
 
-def of_stills(folder: Path, looker: Looker) -> Iterator[tuple[Labelled, Found]]:
-    """Yield the stills that no training saw, shrunk, and what was found in them."""
+def of_stills(folder: Path, looker: Looker, split: str) -> Iterator[tuple[Labelled, Found]]:
+    """Yield the stills of a split, shrunk, and what was found in them."""
     known = class_names(folder / "data.yaml")
     number = {k: NAMES.index(KNOWN.get(name, name)) for k, name in known.items()}
-    for file in track(of_split(folder, "test"), folder.name, console=Console(stderr=True)):
+    for file in track(of_split(folder, split), folder.name, console=Console(stderr=True)):
         small = looker.shrink(read_labelled(file))
         numbers = np.array([number[int(k)] for k in small.numbers], np.int64)
         yield (
@@ -187,7 +187,7 @@ def main(
         if sequence:
             data[sequence.name] = of_sequence(sequence, looker, every)
         if football:
-            data[football.name] = of_stills(football, looker)
+            data[football.name] = of_stills(football, looker, "test")
         for name, pictures in data.items():
             rows += ({"version": version, "data": name} | r for r in rows_of(pictures, wanted))
     Console().print(table("people, found and missed", rows))
