@@ -113,6 +113,10 @@ PLACES = {
         section="Networks and scenes", order=11,
         title="Versions of the detector and of its input, by match and scale",
     ),
+    "kits": Place(
+        section="Networks and scenes", order=13,
+        title="Players and referees by the detector alone, and with kits",
+    ),
     "people_missed": Place(
         section="Networks and scenes", order=12,
         title="People missed in the context, by how much of them another person covers",
