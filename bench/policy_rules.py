@@ -11,7 +11,6 @@ import numpy as np
 
 from operators.policy.candidates import odds
 from operators.policy.verdicts import EVEN
-from operators.policy.verifying import OWN_GAIN
 from pipeline.errors import RunError
 
 Part = tuple[str, Any]  # module:name, and what stands there instead
@@ -49,6 +48,11 @@ def none_of(*arguments: Any) -> Any:
 def unseen(tracks: Any, shown: Any) -> Any:
     """Return the odds of tracks of which the ROI showed nothing: (n,)."""
     return odds(tracks, np.full_like(shown, EVEN))
+
+
+def as_before(_tracks: Any, now: Any, *_: Any) -> Any:
+    """The search, with no candidate to look at."""
+    return now.search
 
 
 def alone(_: Any, worth: Any) -> Any:
@@ -98,25 +102,17 @@ PURSUIT = {
     "the field is searched": Rule(changes=("policy.patience=1000000",)),
 }  # fmt: skip
 VERIFYING = {
-    "candidates are looked at": Rule(changes=("policy.sought=0",)),
+    "candidates are looked at": Rule(parts=(("verifying:looked_at", as_before),)),
     "a verdict takes several looks": Rule(changes=("policy.looks=2",)),
     "a window shows several candidates": Rule(parts=(("verifying:window_sums", alone),)),
     "near its edge nothing is judged": Rule(parts=(("verifying:EDGE_PX", 0.0),)),
     "what cannot be judged is given up": Rule(parts=(("verifying:LATE", 1_000_000),)),
-    "the search ends": Rule(changes=("policy.sought=1000000",)),
-    "beside an unsure target others are looked at": Rule(
-        parts=(("verifying:beside", returns(1.0)),)
-    ),
     "what the context is sure of needs no looks": Rule(
         parts=(("verifying:PLAIN", 1_000_000),)
     ),
     "an unlikely candidate is none": Rule(changes=("policy.least_probability=0",)),
     "a rival must be clearly better": Rule(parts=(("verifying:MARGIN", 0.0),)),
     "the target's odds change slowly": Rule(parts=(("verifying:OWN_GAIN", 1.0),)),
-    "a hidden target keeps its odds": Rule(
-        parts=(("verifying:HIDDEN_GAIN", OWN_GAIN),)
-    ),
-    "a target is kept while it is refuted": Rule(parts=(("verifying:REFUTED", 1),)),
     "a lost target is waited for": Rule(parts=(("verifying:well_known", returns(False)),)),
     "it is followed on its way": Rule(parts=(("verifying:escaped", returns(-1)),)),
     "a person nearby carries it": Rule(parts=(("pursuit:can_carry", nobody),)),

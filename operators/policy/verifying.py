@@ -3,11 +3,9 @@
 A ball of two pixels in the context is one of fifty candidates, behind boots, lines and scraps. Full
 resolution tells them apart, if it is asked: the ROI shows the likeliest candidates one window after
 another, each in `looks` frames, until one of them is verified (operators.verify); one of which the
-context is sure needs no looks. It is followed as in pursuit. Unless it is surely the target, a
-window of candidates that were not looked at often enough is looked at first where that is likelier
-to show the target: what the context takes for a ball ever more surely is not passed over for a boot
-that was verified by mistake. A target that was followed for a while and is lost may have been
-kicked: what the context shows in every frame, on its way from where the target was, is followed.
+context is sure needs no looks. It is followed as in pursuit. A target that was followed for a
+while and is lost may have been kicked: what the context shows in every frame, on its way from where
+the target was, is followed.
 Without such it is waited for and looked for among people, not among faint candidates again.
 
 That is for a target asked for by its class. One asked for by id or box needs no search: the network
@@ -39,9 +37,7 @@ from pipeline import Header, RoiFeatures, SettingsError, Tracks
 from pipeline.boxes import centres
 
 EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge nothing is judged
-OWN_GAIN = 0.2  # of the latest frame in the odds of the present target, where it is visible
-HIDDEN_GAIN = 0.0  # where it is not
-REFUTED = 120  # frames in succession after which what the ROI refutes is let go
+OWN_GAIN = 0.2  # of the latest frame in the odds of the present target
 LATE = 6  # frames more than `looks` for which a candidate is waited for
 # a lost target on its way: the least score in the context, and how far from where it was last seen
 ESCAPED_SCORE, ESCAPED_PX, ESCAPED_STEP_PX = 0.3, 60.0, 30.0
@@ -57,23 +53,17 @@ class VerifyingPolicySettings(SearchSettings, LearnedPolicySettings):
 
     least_probability: float = 0.08  # of a verified candidate, by context and ROI
     looks: int = 7  # frames in which the ROI shows a candidate before it is believed
-    # frames in all for which faint candidates are looked at while there is no target; looks beside
-    # an unsure one do not count
-    sought: int = 120
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.looks < 2:  # a verdict needs two views
             raise SettingsError(f"looks: must be at least 2, got {self.looks}")
-        if self.sought < 0:
-            raise SettingsError(f"sought: must be at least 0, got {self.sought}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchState:
     """How far the search for a faint target has come."""
 
-    spent: int = 0  # frames without a target in which candidates were looked at
     kept: int = 0  # frames in which the gaze followed the present target
     followed: bool = False  # whether one was followed for `patience` frames
     refuted: int = 0  # frames in succession in which the present target was an unlikely one
@@ -97,7 +87,7 @@ class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
     Of a target asked for by id or box it proposes what `LearnedPolicy` does.
     """
 
-    live: ClassVar[tuple[str, ...]] = (*Pursuit.live, "looks", "sought")
+    live: ClassVar[tuple[str, ...]] = (*Pursuit.live, "looks")
     begins = VerifyingState
     _state: VerifyingState
 
@@ -170,15 +160,11 @@ def seek(
     search, row, shown, horizon = now.search, row_of(tracks, now.locked), -1, rules.horizon
     if row >= 0:
         now = noted(tracks, row, now, now.spec)
-        search = looked_at(tracks, now, chances, rules, beside(odds, chances, row))
-        shown = row_of(tracks, search.shown_id)
     elif not search.followed:  # it was none: nothing is known of the target
         now = replace(now, seen_seq=-1, carrier_id=-1)
-        if search.spent < rules.sought:
-            search = looked_at(tracks, now, chances, rules, 0.0)
-            shown = row_of(tracks, search.shown_id)
-            search = replace(search, spent=search.spent + int(shown >= 0))
-    if shown >= 0 and shown != row:
+        search = looked_at(tracks, now, chances, rules)
+        shown = row_of(tracks, search.shown_id)
+    if shown >= 0:
         return stay(future(tracks, shown, horizon), horizon), replace(now, search=search)
     search = replace(search, shown_id=-1)
     if row < 0:
@@ -190,11 +176,6 @@ def seek(
     if carrier >= 0:
         return stay(future(tracks, carrier, horizon), horizon), now
     return follow(tracks, row, horizon), now
-
-
-def beside(odds: NDArray[np.float32], chances: NDArray[np.float32], row: int) -> float:
-    """Return the probability above which a candidate is looked at beside a target; 1.0: none is."""
-    return 1.0 if probability(odds)[row] >= SURE else float(chances[row])
 
 
 def well_known(search: SearchState, rules: VerifyingPolicySettings) -> bool:
@@ -223,15 +204,12 @@ def target_odds(tracks: Tracks, now: VerifyingState) -> NDArray[np.float32]:
     """Return the logarithm of the odds that each track is the target: (n,); -inf: another class.
 
     Those of the present target change slowly: it is refuted wherever it is blurred or half hidden.
-    A hidden one keeps those of the frame in which it was last visible: a track's score falls while
-    the context misses it, which tells nothing of what it is.
     """
     verdicts, ids = now.verdicts, tracks.ids
     odds = faint_odds(tracks.scores, verdicts.of(ids), verdicts.settled(ids))
     own = row_of(tracks, now.locked)
     if own >= 0:
-        gain = OWN_GAIN if tracks.visible[own, -1] else HIDDEN_GAIN
-        odds[own] = now.search.odds + gain * (odds[own] - now.search.odds)
+        odds[own] = now.search.odds + OWN_GAIN * (odds[own] - now.search.odds)
     return np.where(of_class(tracks, now.spec.label), odds, np.float32(-np.inf))
 
 
@@ -254,8 +232,8 @@ def locked_on(
     """Keep, gain or change the track that is the target: the likeliest one that may be believed.
 
     That is a verified one, or one of which the context is sure enough that it needs no looks. One
-    that has become unlikely is kept until another is verified, or for `REFUTED` frames, for
-    `patience` where it was not followed as long.
+    that has become unlikely is kept for `patience` frames or until another is verified; one that
+    was followed as long is lost at once, and waited for.
     """
     fit = now.verdicts.views(tracks.ids) >= rules.looks
     fit |= (probability(context_odds(tracks.scores)) >= SURE) & (tracks.visible.sum(1) >= PLAIN)
@@ -269,7 +247,7 @@ def locked_on(
         search = replace(search, kept=0, refuted=0, odds=float(odds[best]))
         return replace(now, locked=int(tracks.ids[best]), search=search)
     refuted = 0 if own < 0 or fit[own] else search.refuted + 1
-    if own < 0 or refuted >= (REFUTED if search.followed else rules.patience):
+    if own < 0 or refuted >= (1 if search.followed else rules.patience):
         return replace(now, locked=-1, search=replace(search, refuted=0))
     last = float(odds[own]) if np.isfinite(odds[own]) else search.odds  # -inf: of another class
     return replace(now, search=replace(search, refuted=refuted, odds=last))
@@ -280,25 +258,23 @@ def looked_at(
     now: VerifyingState,
     chances: NDArray[np.float32],
     rules: VerifyingPolicySettings,
-    to_beat: float,
 ) -> SearchState:
     """Return the search with the candidate to look at: the one before, the next, or none.
 
     The next is that around which a window most probably shows the target, less the looks that were
-    taken; none where that is not above `to_beat`, a probability as `chances` (n,) are. A look that
-    was begun is finished unless all that its window may show is no longer above that.
+    taken; `chances` (n,) are probabilities. A look that was begun is finished.
     """
     seq, views, search = tracks.header.seq, now.verdicts.views(tracks.ids), now.search
     open_ones = (chances > 0) & (views < rules.looks)
     row, given_up = row_of(tracks, search.shown_id), search.given_up
     if row >= 0 and views[row] < rules.looks:
         late = seq - search.shown_seq > rules.looks + LATE
-        if not late and window_sums(tracks, chances * open_ones)[row] > to_beat:
+        if not late and window_sums(tracks, chances * open_ones)[row] > 0:
             return search
         if late:
             given_up = (*given_up, search.shown_id)[-GIVEN_UP:]
     value = window_sums(tracks, chances * open_ones * (1 - views / rules.looks))
-    possible = open_ones & tracks.visible[:, -1] & (value > to_beat)
+    possible = open_ones & tracks.visible[:, -1] & (value > 0)
     possible &= ~np.isin(tracks.ids, (search.shown_id, *given_up))
     chosen = int(np.where(possible, value, -np.inf).argmax()) if possible.any() else -1
     shown_id = int(tracks.ids[chosen]) if chosen >= 0 else -1

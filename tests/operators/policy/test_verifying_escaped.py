@@ -79,7 +79,7 @@ def test_the_consumer_is_bound_to_it_at_once() -> None:
 
 
 def test_where_no_target_was_followed_nothing_escaped() -> None:
-    run = Run({}, patience=12, sought=0)
+    run = Run({}, patience=12)
 
     frames = [tracks(seq, (9, 0, 50.0, 50.0, 0.0)) for seq in range(8)]
     for frame in frames:
