@@ -11,7 +11,7 @@ from bench.tracking.cases import Case, Protocol
 from bench.tracking.classes import POLICY, planned
 from bench.tracking.clip import ClipName, frames_of
 from bench.tracking.sight import PERCEPTION
-from bench.tracking.stages import NEEDED
+from bench.tracking.stages import KITS, NEEDED, VERIFYING
 from drivers.datasets.sequence import read_info
 from operators.training.identity import of_code, of_nodes
 from pipeline.errors import DriverError
@@ -36,7 +36,8 @@ def key(case: Case, protocol: Protocol) -> str:
     plan needs only the tracker), not on the paths of files.
     """
     plan = planned(Path(protocol.graph), *case.parts)
-    wanted = NEEDED if case.strategy in PLANNED else ("tracker",)
+    played = (*NEEDED, *VERIFYING, KITS)  # the latter where a graph has them
+    wanted = played if case.strategy in PLANNED else ("tracker",)
     plain = asdict(replace(case, changes=(), tracker="", policy=""))  # `parts` reflects these
     common = asdict(replace(protocol, graph=""))  # only the graph's parts count
     known = file_digest(MANIFEST)  # of the tracker's weights if the graph names no file
@@ -44,7 +45,7 @@ def key(case: Case, protocol: Protocol) -> str:
     cue = ""
     if case.rules.cue:
         giver = planned(Path(protocol.graph), case.changes, case.tracker, PURSUIT)
-        cue = contents(giver, (*PERCEPTION, POLICY))
+        cue = contents(giver, (*PERCEPTION, KITS, POLICY))
     return json.dumps([plain, common, of_code(*CODE), parts, cue, known], sort_keys=True)
 
 

@@ -23,7 +23,7 @@ def watched(
     found = {}
     for frame in range(frames):
         small = stages.call("downsample", frame=camera.context(frame, frame))
-        seen = replaced.detections(stages.call("saliency", frame=small), frame)
+        seen = replaced.detections(stages.finds(small), frame)
         found[frame] = stages.call("association", detections=without(seen, missed))
     return found
 

@@ -16,10 +16,12 @@ from pipeline.contract import Operator, settings_of
 from pipeline.errors import GraphError
 from pipeline.executor import Executor, carried
 from pipeline.graph.plan import load_operator
-from pipeline.messages import Frame, Header, Message, RoiFeatures, Tracks
+from pipeline.messages import Detections, Frame, Header, Message, RoiFeatures, Tracks
 
+SALIENCY, ASSOCIATION = "saliency", "association"
 ENCODER, VERIFIER = "roi_features", "verify"
 VERIFYING = ("closer", VERIFIER)  # played with the encoder where the policy reads the verifier
+KITS = "kits"  # played with saliency where association reads it
 NEEDED = ("downsample", "saliency", "association", "roi_features", "policy", "dispatch", "tracker")
 
 
@@ -38,6 +40,8 @@ class Stages:
         known = {node.name for node in self.plan.nodes}
         if POLICY in needed and POLICY in known:
             needed = (*needed, *self._before_policy(graph))
+        if ASSOCIATION in needed and ASSOCIATION in known:
+            needed = (*needed, *self._before_association(graph))
         for name in needed:
             if name not in known:
                 raise GraphError(
@@ -69,6 +73,16 @@ class Stages:
             )
         return VERIFYING if source == VERIFIER else ()
 
+    def _before_association(self, graph: Path) -> tuple[str, ...]:
+        """Return the further stage that association needs; raises `GraphError` for another one."""
+        source = self.plan.inputs(ASSOCIATION)["detections"].source
+        if source not in (SALIENCY, KITS):
+            raise GraphError(
+                f"{graph}: association.detections: expected {SALIENCY} or {KITS}, which are played "
+                f"here, got {source}"
+            )
+        return (KITS,) if source == KITS else ()
+
     def settings(self, name: str) -> Any:
         """Return the settings of a stage, defaults included."""
         return self._parts[name].settings
@@ -89,10 +103,11 @@ class Stages:
     def begin(self, header: Header, *names: str, **settings: Mapping[str, Any]) -> None:
         """Begin a new stream for some stages, with these of the graph's settings changed.
 
-        What verifies begins with the encoder.
+        What verifies begins with the encoder, kits with saliency.
         """
         verifying = VERIFYING if ENCODER in names and VERIFIER in self._parts else ()
-        for name in (*names, *verifying):
+        kits = (KITS,) if SALIENCY in names and KITS in self._parts else ()
+        for name in (*names, *verifying, *kits):
             part = self._parts[name]
             part.on_settings(replace(self._own[name], **settings.get(name, {})))
             part.on_stream(header)
@@ -100,6 +115,13 @@ class Stages:
     def restore(self, name: str, state: object) -> None:
         """Let a stage go on from the state of another instance."""
         self._parts[name].restore(state)
+
+    def finds(self, picture: Frame) -> Detections:
+        """Return what association hears of a picture: what saliency finds, told by kits."""
+        found: Detections = self.call(SALIENCY, frame=picture)
+        if KITS in self._parts:
+            found = self.call(KITS, detections=found, frame=picture)
+        return found
 
     def looks(self, roi: Frame, tracks: Tracks) -> RoiFeatures:
         """Return what the policy hears of a ROI: what the encoder tells, verified in its graph."""

@@ -28,6 +28,7 @@ from pipeline.errors import GraphError
 from pipeline.messages import Header, Message, Scanpath
 
 GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "learned.yaml"
+TRACKING = GRAPH.with_name("tracking.yaml")
 FRAMES = 14
 STRATEGIES = (
     *("full", "spatial", "temporal", "exposure", "context"),
@@ -219,3 +220,27 @@ def test_features_that_are_not_played_are_refused(tmp_path: Path) -> None:
 
     with pytest.raises(GraphError, match=r"policy\.features: expected roi_features or verify"):
         Stages(graph)
+
+
+def test_detections_that_are_not_played_are_refused(tmp_path: Path) -> None:
+    graph = tmp_path / "retold.yaml"
+    known = TRACKING.read_text()
+    graph.write_text(known.replace("  kits: #", "  worn: #").replace(": kits}", ": worn}"))
+
+    with pytest.raises(GraphError, match=r"association\.detections: expected saliency or kits"):
+        Stages(graph)
+
+
+def test_a_graph_with_kits_is_played_with_kits() -> None:
+    clip = read(ClipName(seed=52_000), (1, 2))
+    camera = Camera(clip, acquisition("full", Fraction(1, 16), clip.size_px))
+    with Stages(TRACKING) as stages:
+        stages.begin(camera.header(0), "downsample", "saliency")
+        picture = stages.call("downsample", frame=camera.context(0))
+        seen = stages.call("saliency", frame=picture)
+
+        found = stages.finds(picture)
+
+    told = stages.call("kits", detections=seen, frame=picture)
+    assert found.labels.tolist() == told.labels.tolist()
+    assert len(found.labels) <= len(seen.labels)
