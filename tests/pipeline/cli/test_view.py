@@ -170,7 +170,7 @@ def test_a_graph_that_does_not_run_is_named() -> None:
 @pytest.mark.parametrize(
     ("graph", "differs"),
     [
-        ("tracking", {}),
+        ("tracking", {"detections": "kits"}),
         ("prototype", {"context": "context_rgb", "roi": "roi_rgb"}),  # not the mosaics
         ("many", {"tracks": "identity"}),
     ],
