@@ -1,4 +1,4 @@
-"""Fit and score how kits tell referees: `python -m bench.kits --football FOLDER [--sequence …]`.
+"""Fit and score how kits tell referees: `python -m bench.kits NAME=FILE … --football FOLDER`.
 
 `--fit` fits the weights of `operators.kits` and prints them: those of kits on the stills that the
 detector was trained on, where its word would count too much, and how both are weighed on the
@@ -32,6 +32,7 @@ from drivers.scenes.soccer import SoccerScene
 from operators import kits
 from operators.saliency.example import NAMES
 from operators.training.stills import Labelled
+from pipeline.errors import RunError
 from pipeline.whole_file import write_whole
 
 # seeds of drawn clips; nothing is chosen on those left out
@@ -117,8 +118,8 @@ def fitted(
     for least in sorted(np.concatenate(odds)):
         weights[-1] = -least
         if judged(development, of_kits, weights)[kits.REFEREE]["precision"] >= precision:
-            break
-    return of_kits, weights
+            return of_kits, weights
+    raise RunError(f"precision: expected one that referees reach, got {precision:g}")
 
 
 def judged(scenes: Iterable[Scene], of_kits: Floats, weights: Floats) -> dict[str, Row]:
@@ -183,6 +184,8 @@ def main(
     rows: list[Row] = []
     for number, (version, file, input_px) in enumerate(map(named, versions)):
         looker = Looker(file, {}, 0.25, 1, confidence=CONFIDENCE, input_px=input_px)
+        for name in PEOPLE:
+            looker.known(name)
 
         def of_split(split: str, looker: Looker = looker) -> list[Scene]:
             return [scene(*pair) for pair in of_stills(football, looker, split)]

@@ -78,7 +78,8 @@ class Sightings:
         for name, mine in parts.items():
             if mine.any():
                 yield {
-                    "covered": name, "present": int(mine.sum()), "confidence": least,
+                    "covered": name, "present": int(mine.sum()),
+                    "confidence": None if least is None else round(least, 3),
                     "recall": None if least is None else told(best[mine] >= least),
                     "recall at any": told(best[mine] > 0), "as anybody": told(anybody[mine] > 0),
                 }  # fmt: skip
@@ -118,7 +119,7 @@ def least_confidence(scores: Array, right: NDArray[np.bool_], precision: float) 
     order = np.argsort(-scores, kind="stable")
     share = right[order].cumsum() / np.arange(1, len(order) + 1)
     fit = np.flatnonzero(share >= precision)
-    return round(float(scores[order][fit[-1]]), 3) if len(fit) else None
+    return float(scores[order][fit[-1]]) if len(fit) else None
 
 
 def of_sequence(folder: Path, looker: Looker, every: int) -> Iterator[tuple[Labelled, Found]]:

@@ -129,7 +129,7 @@ def draw(folder: Path) -> list[Path]:
 @click.option("--out", default=PAGE, type=click.Path(path_type=Path), help="The page.")
 def main(*, check: bool, plots: bool, folder: Path, out: Path) -> None:
     """Write bench/RESULTS.md from the result files."""
-    for path in draw(folder) if plots else ():
+    for path in draw(folder) if plots and not check else ():
         click.echo(f"{path.name}: drawn")
     text = page(folder)
     if not check:

@@ -60,15 +60,16 @@ def draw_report(report: Report, path: Path) -> bool:
     if not draw or not rows:
         return False
     need("matplotlib", "plot")
-    draw(rows, path)
-    return True
+    return draw(rows, path) is not False
 
 
-def draw_rules(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+def draw_rules(rows: Sequence[Mapping[str, Any]], path: Path) -> bool | None:
     """Draw what the loop gained without each rule: a panel a policy and target, a line a rule."""
     from matplotlib.figure import Figure
 
     own = [row for row in rows if row["without"] != "all rules"]
+    if not own:
+        return False
     groups = list(dict.fromkeys((row["policy"], row["target"]) for row in own))
     most = max(sum((r["policy"], r["target"]) == group for r in own) for group in groups)
     size = 3.0 + 2.8 * len(groups), 1.6 + 0.3 * most
@@ -96,6 +97,7 @@ def draw_rules(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     marks = dict(zip(*reversed(panels[0].get_legend_handles_labels()), strict=True))
     figure.legend(marks.values(), marks, loc="outside lower center", ncols=2, fontsize=8)
     figure.savefig(path, dpi=140)
+    return True
 
 
 def draw_manipulation(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -112,7 +114,7 @@ def draw_manipulation(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     figure.savefig(path, dpi=140)
 
 
-DRAWN: Mapping[str, Callable[[Any, Path], None]] = {
+DRAWN: Mapping[str, Callable[[Any, Path], bool | None]] = {
     "rules": draw_rules, "rules_from_starts": draw_rules, "reading": plot_reading,
     "manipulation": draw_manipulation,
 }  # fmt: skip

@@ -16,7 +16,7 @@ from bench.tracking.episode import Loop, Rules
 from bench.tracking.key import contents
 from bench.tracking.replaced import Replaced
 from bench.tracking.sight import PERCEPTION, watched
-from bench.tracking.stages import Stages
+from bench.tracking.stages import KITS, Stages
 from bench.tracking.targets import Target
 from pipeline.messages import Tracks
 
@@ -57,7 +57,7 @@ class Stock:
             return loop
         # changes may affect any stage; tracks carry the geometry of the ROI, by which a policy
         # plans, and not its place
-        seen = contents(loop.stages.plan, PERCEPTION)
+        seen = contents(loop.stages.plan, (*PERCEPTION, KITS))
         key = (seen, how.sampling.context_px, how.geometry, "detections" in case.replaced)
         if key not in self._tracks:
             frames = len(self.clip.truths)
