@@ -116,7 +116,7 @@ def labelled(source: FrameSource, index: int, truth: Annotations) -> Labelled:
 
 
 def truths_of(source: SoccerNetSequence) -> list[Annotations]:
-    """Return the truth of every frame of a sequence."""
+    """Return the truth of the frames of a sequence; empty where it knows none."""
     found = [source.truth(k) for k in range(source.length or 0)]
     return [truth for truth in found if truth is not None]
 

@@ -24,6 +24,7 @@ from bench.ball_candidates import labelled
 from bench.detector import TRAINING
 from bench.detector_scoring import Looker
 from bench.detector_versions import named
+from bench.logistic import regressed
 from bench.machine import facts
 from bench.options import JSON, Bench
 from bench.people_missed import PEOPLE, assigned, of_sequence, of_stills
@@ -39,8 +40,7 @@ from pipeline.whole_file import write_whole
 DRAWN = {"drawn, development": range(50_000, 50_008), "drawn, left out": range(71_000, 71_012)}
 DRAWN_FRAMES = range(0, 150, 15)
 CONFIDENCE = 0.3  # of the detector, for players and referees
-RIDGE = 1.0  # of the regressions, in units of a sample
-STEPS = 50
+PENALTY = 0.5  # on the squares of the weights, of inputs of the same width
 Array = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Row = dict[str, Any]
@@ -91,17 +91,10 @@ def truly_referees(of: Scene) -> NDArray[np.bool_]:
     return np.asarray(right & mine, np.bool_)
 
 
-def regressed(inputs: Floats, outcome: NDArray[np.bool_]) -> Floats:
-    """Return weights of inputs (n, k) and a constant, by logistic regression: (k + 1,)."""
+def scaled(inputs: Floats, outcome: NDArray[np.bool_]) -> Floats:
+    """Return weights of inputs (n, k) of unlike widths and a constant: (k + 1,)."""
     middle, width = inputs.mean(0), inputs.std(0) + 1e-6
-    scaled = np.column_stack([(inputs - middle) / width, np.ones(len(inputs))])
-    weights, ridge = np.zeros(scaled.shape[1]), np.full(scaled.shape[1], RIDGE)
-    ridge[-1] = 0
-    for _ in range(STEPS):
-        chance = 1 / (1 + np.exp(-scaled @ weights))
-        slope = scaled.T @ (chance - outcome) + ridge * weights
-        bend = scaled.T * (chance * (1 - chance)) @ scaled + np.diag(ridge + 1e-9)
-        weights -= np.linalg.solve(bend, slope)
+    weights = regressed((inputs - middle) / width, outcome, PENALTY)
     own = weights[:-1] / width
     return np.append(own, weights[-1] - own @ middle)
 
@@ -111,9 +104,9 @@ def fitted(
 ) -> tuple[Floats, Floats]:
     """Return the weights of kits, and those of all evidence."""
     outcome = np.concatenate([truly_referees(of) for of in trained_on])
-    of_kits = regressed(np.concatenate([kits.signs(of.worn) for of in trained_on]), outcome)
+    of_kits = scaled(np.concatenate([kits.signs(of.worn) for of in trained_on]), outcome)
     known = np.concatenate([kits.evidence(of.said, of.worn, of_kits) for of in development])
-    weights = regressed(known, np.concatenate([truly_referees(of) for of in development]))
+    weights = scaled(known, np.concatenate([truly_referees(of) for of in development]))
     odds = [kits.evidence(of.said, of.worn, of_kits) @ weights[:-1] for of in development]
     for least in sorted(np.concatenate(odds)):
         weights[-1] = -least
@@ -206,7 +199,8 @@ def main(
     if path:
         report = facts() | {
             "bench": "kits", "confidence": CONFIDENCE, "scale": 0.25, "fitted": fit,
-            "precision_chosen": precision, "rows": rows,
+            "precision_chosen": precision, "kit_weights": [float(f"{w:.4g}") for w in of_kits],
+            "weights": [float(f"{w:.4g}") for w in weights], "rows": rows,
         }  # fmt: skip
         write_whole(path, json.dumps(report, indent=1) + "\n")
 

@@ -29,11 +29,11 @@ from bench.options import JSON, Bench
 from bench.prototype import table
 from drivers.datasets.soccernet import SoccerNetSequence
 from operators.saliency.example import NAMES
-from operators.saliency.judging import FLOOR, LEAST_IOU
+from operators.saliency.judging import FLOOR, LEAST_IOU, matched
 from operators.training.stills import Labelled, class_names
 from operators.training.stills import labelled as read_labelled
 from pipeline.boxes import areas, intersections, iou
-from pipeline.errors import SettingsError
+from pipeline.errors import DriverError, SettingsError
 from pipeline.whole_file import write_whole
 
 PEOPLE = ("player", "referee")
@@ -104,13 +104,10 @@ def covered(people: Array) -> Array:
 
 def assigned(boxes: Array, scores: Array, truth: Array) -> tuple[NDArray[np.bool_], Array]:
     """Whether each detection (n,), best first, is the first of a person; the score of each (m,)."""
-    right, best = np.zeros(len(boxes), np.bool_), np.zeros(len(truth), np.float32)
     overlap = iou(boxes, truth)
-    for row in range(len(boxes) if len(truth) else 0):
-        fit = np.where(best > 0, 0.0, overlap[row])
-        at = int(fit.argmax())
-        if fit[at] >= LEAST_IOU:
-            right[row], best[at] = True, scores[row]
+    hit = matched(np.where(overlap >= LEAST_IOU, overlap, 0), np.ones(len(truth), np.bool_))
+    right, best = hit >= 0, np.zeros(len(truth), np.float32)
+    best[hit[right]] = scores[right]
     return right, best
 
 
@@ -126,6 +123,8 @@ def of_sequence(folder: Path, looker: Looker, every: int) -> Iterator[tuple[Labe
     """Yield the frames of a SoccerNet folder, shrunk, and what was found in them."""
     source = SoccerNetSequence(path=str(folder))
     truths = truths_of(source)
+    if not truths:
+        raise DriverError(f"{folder}: expected a sequence with its truth, got none")
     for k in track(range(0, len(truths), every), folder.name, console=Console(stderr=True)):
         small = looker.shrink(labelled(source, k, truths[k]))
         yield small, looker.look(small.picture, changed(looker, source, k, small))
@@ -135,9 +134,14 @@ def of_sequence(folder: Path, looker: Looker, every: int) -> Iterator[tuple[Labe
 def of_stills(folder: Path, looker: Looker, split: str) -> Iterator[tuple[Labelled, Found]]:
     """Yield the stills of a split, shrunk, and what was found in them."""
     known = class_names(folder / "data.yaml")
-    number = {k: NAMES.index(KNOWN.get(name, name)) for k, name in known.items()}
+    own = {k: KNOWN.get(name, name) for k, name in known.items()}
+    if other := sorted(set(own.values()) - set(NAMES)):
+        raise SettingsError(f"{folder}: expected classes {', '.join(NAMES)}, got {other[0][:40]}")
+    number = {k: NAMES.index(name) for k, name in own.items()}
     for file in track(of_split(folder, split), folder.name, console=Console(stderr=True)):
         small = looker.shrink(read_labelled(file))
+        if unknown := {int(k) for k in small.numbers} - number.keys():
+            raise DriverError(f"{file}: expected a class of data.yaml, got {min(unknown)}")
         numbers = np.array([number[int(k)] for k in small.numbers], np.int64)
         yield (
             Labelled(picture=small.picture, boxes=small.boxes, numbers=numbers),

@@ -38,10 +38,9 @@ from pipeline.run.inline import InlineRunner
 
 ALL = "all rules"
 FIRST_CLIP = 50_000  # seeds on which rules may be chosen; figures of tables begin at 70,000
-OF_THE_GRAPH = "of the graph"
 POLICIES = {  # as `planned` takes them
     "learned": str(ROOT / "operators" / "policy" / "policy.onnx"), "pursuit": "pursuit",
-    OF_THE_GRAPH: "",
+    "of the graph": "",
 }  # fmt: skip
 FIGURES = ("share in the ROI", "IoU")
 NOWHERE = np.zeros((0, 4), np.float32)

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
-from scipy.optimize import minimize
 from scipy.special import logit
 
+from bench.logistic import regressed
 from bench.machine import facts
 from bench.options import JSON, ROOT, Bench
 from bench.prototype import table
@@ -118,13 +118,8 @@ def odds(rows: Array, columns: Sequence[int], weights: Array) -> Array:
 
 def fitted(rows: Array, columns: Sequence[int]) -> Array:
     """Return bias and gains of a logistic regression: (1 + columns,)."""
-    signs = np.where(rows[:, 3] > 0, -1, 1)
-
-    def loss(weights: Array) -> float:
-        cost = np.logaddexp(0, signs * odds(rows, columns, weights)).mean()
-        return float(cost + PENALTY / len(rows) * (weights[1:] ** 2).sum())
-
-    return np.asarray(minimize(loss, np.zeros(1 + len(columns))).x)
+    shares = np.clip(rows[:, list(columns)], LEAST, 1 - LEAST)
+    return np.roll(regressed(logit(shares), rows[:, 3] > 0, PENALTY), 1)
 
 
 def area(values: Array, true: NDArray[np.bool_]) -> float:

@@ -3,7 +3,7 @@
 A detector knows the kits that it was trained on. A referee in another one is a player to it, but
 not beside the other people of the picture: two teams wear the same, a referee's shirt is that of
 few or of nobody, above dark shorts. Both are weighed together: what the detector says, and how
-alike the kits are. `python -m bench.kits --fit` fitted the weights; saliency/CARD.md has figures.
+alike the kits are. `python -m bench.kits … --fit` fitted the weights; saliency/CARD.md has figures.
 """
 
 from collections.abc import Iterable, Mapping
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import Detections, FoveaError, Frame, Input, Operator, SettingsError
-from pipeline.boxes import iou, parts_of
+from pipeline.boxes import in_picture, iou, parts_of
 
 Array = NDArray[np.float32]
 PLAYER, REFEREE = "player", "referee"
@@ -23,7 +23,7 @@ TORSO, SHORTS = (0.3, 0.18, 0.7, 0.48), (0.3, 0.5, 0.7, 0.66)  # left, top, righ
 BRIGHTNESS = 0.5  # of the weight of a difference in colour
 SAME_TORSO, SAME_SHORTS = 18.0, 25.0  # differences in CIELAB at which kits are hardly alike
 LEAST_SCORE = 0.02  # stands for a class that the detector did not report
-NEVER = -4.0  # evidence beside that of nobody else
+NEVER = -4.0  # least evidence of the others, also where there are none
 NAMED = -1.0  # evidence of the detector above which it has named a referee
 SAME_PERSON = 0.5  # IoU of two boxes
 MOST_LETTERS = 80
@@ -51,8 +51,8 @@ class KitsSettings:
 class Kits(Operator[KitsSettings, Detections]):
     """One answer per frame: the detections, each person once, as player or as referee.
 
-    `frame` is the picture in which they were detected; in one without colours, or with few people,
-    classes stay as they are. Boxes and scores stay in any case.
+    `frame` is the picture in which they were detected. In one without colours, or with few people,
+    all stays as it is. Boxes and scores stay in any case.
     """
 
     detections = Input(Detections, keep="every")
@@ -116,14 +116,6 @@ def people(
         said.append([scores[of][labels[of] == label].max(initial=0) for label in (referee, player)])
     known = np.clip(np.array(said, np.float64).reshape(-1, 2), LEAST_SCORE, 1 - LEAST_SCORE)
     return np.array(first, np.intp), np.log(known / (1 - known))
-
-
-def in_picture(boxes: Array, frame: Frame) -> Array:
-    """Return boxes (n, 4) in sensor pixels as pixels of a picture of a window."""
-    left, top, right, low = frame.window
-    height, width = frame.pixels.shape[:2]
-    gain = np.array([width / (right - left), height / (low - top)] * 2, np.float32)
-    return np.asarray((boxes - np.array([left, top] * 2, np.float32)) * gain, np.float32)
 
 
 def kits(picture: NDArray[np.uint8], boxes: Array) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.messages import Geometry, Tracks
+from pipeline.messages import Frame, Geometry, Tracks
 
 Array = NDArray[np.float32]
 
@@ -106,6 +106,14 @@ def parts_of(boxes: Array, part: tuple[float, float, float, float]) -> Array:
     sides = boxes[:, 2:] - boxes[:, :2]
     found = np.tile(boxes[:, :2], 2) + np.tile(sides, 2) * np.array(part)
     return np.asarray(found, np.float32)
+
+
+def in_picture(boxes: Array, frame: Frame) -> Array:
+    """Return boxes (n, 4), or one (4,), in sensor pixels as pixels of a picture of a window."""
+    left, top, right, low = frame.window
+    height, width = frame.pixels.shape[:2]
+    scale = np.array([width / (right - left), height / (low - top)] * 2)
+    return np.asarray((boxes - (left, top, left, top)) * scale, np.float32)
 
 
 def boxes_at(tracks: Tracks, seq: int) -> Array | None:

@@ -37,7 +37,8 @@ def spread(middle: object, least: object, greatest: object) -> str:
 def figures(values: Mapping[str, Any]) -> list[str]:
     """Return the Markdown of all figures below a mapping, lists of rows among them.
 
-    Groups with the same place and figures are rows of a table; a group of its own is a line.
+    Groups as deep below the same mapping that share a figure are rows of a table; a group of its
+    own is a line. Lists of rows deeper than the first level are left out.
 
     >>> print(figures({"graph": "a.yaml", "loop": {"p50": 24.1, "p99": 40}})[0])
     - Run: graph a.yaml

@@ -17,6 +17,7 @@ from pipeline.extras import need
 
 FIGURE = re.compile(r"\**([.\d]+)\**(?: \(([.\d]+)[–-]([.\d]+)\))?")  # and its interval
 GAIN = re.compile(r"([+-][.\d]+)(?: \(([+-][.\d]+) \.\. ([+-][.\d]+)\))?")
+ALL_RULES = "all rules"  # the row of a report that the others are compared with
 NO_STRATEGY = {"target", "budget", "in ROI", "n", "starts", "clips"}
 SIGNS = {"share in the ROI": ("C0", "o", 0.15), "IoU": ("C1", "s", -0.15)}  # and how far above
 
@@ -56,28 +57,26 @@ def curves_of(found: ResultTable) -> list[Row]:
 def draw_report(report: Report, path: Path) -> bool:
     """Draw a bench's own report; False for one of which nothing is drawn."""
     draw = DRAWN.get(report.bench)
-    rows = report.values.get("rows")
+    rows = [row for row in report.values.get("rows", ()) if row.get("without") != ALL_RULES]
     if not draw or not rows:
         return False
     need("matplotlib", "plot")
-    return draw(rows, path) is not False
+    draw(rows, path)
+    return True
 
 
-def draw_rules(rows: Sequence[Mapping[str, Any]], path: Path) -> bool | None:
+def draw_rules(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Draw what the loop gained without each rule: a panel a policy and target, a line a rule."""
     from matplotlib.figure import Figure
 
-    own = [row for row in rows if row["without"] != "all rules"]
-    if not own:
-        return False
-    groups = list(dict.fromkeys((row["policy"], row["target"]) for row in own))
-    most = max(sum((r["policy"], r["target"]) == group for r in own) for group in groups)
+    groups = list(dict.fromkeys((row["policy"], row["target"]) for row in rows))
+    most = max(sum((r["policy"], r["target"]) == group for r in rows) for group in groups)
     size = 3.0 + 2.8 * len(groups), 1.6 + 0.3 * most
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(1, len(groups), squeeze=False)[0]
     shown: tuple[str, ...] = ()
     for panel, group in zip(panels, groups, strict=True):
-        of = [row for row in own if (row["policy"], row["target"]) == group]
+        of = [row for row in rows if (row["policy"], row["target"]) == group]
         for name, (colour, marker, above) in SIGNS.items():
             for place, row in enumerate(of):
                 told = GAIN.match(row[f"{name}: gained without"])
@@ -97,7 +96,6 @@ def draw_rules(rows: Sequence[Mapping[str, Any]], path: Path) -> bool | None:
     marks = dict(zip(*reversed(panels[0].get_legend_handles_labels()), strict=True))
     figure.legend(marks.values(), marks, loc="outside lower center", ncols=2, fontsize=8)
     figure.savefig(path, dpi=140)
-    return True
 
 
 def draw_manipulation(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -114,7 +112,7 @@ def draw_manipulation(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     figure.savefig(path, dpi=140)
 
 
-DRAWN: Mapping[str, Callable[[Any, Path], bool | None]] = {
+DRAWN: Mapping[str, Callable[[Any, Path], None]] = {
     "rules": draw_rules, "rules_from_starts": draw_rules, "reading": plot_reading,
     "manipulation": draw_manipulation,
 }  # fmt: skip

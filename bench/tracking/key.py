@@ -36,7 +36,7 @@ def key(case: Case, protocol: Protocol) -> str:
     plan needs only the tracker), not on the paths of files.
     """
     plan = planned(Path(protocol.graph), *case.parts)
-    played = (*NEEDED, *VERIFYING, KITS)  # the latter where a graph has them
+    played = (*NEEDED, *VERIFYING, KITS)  # those that verify and kits count where a graph has them
     wanted = played if case.strategy in PLANNED else ("tracker",)
     plain = asdict(replace(case, changes=(), tracker="", policy=""))  # `parts` reflects these
     common = asdict(replace(protocol, graph=""))  # only the graph's parts count

@@ -42,7 +42,7 @@ LATE = 6  # frames more than `looks` for which a candidate is waited for
 # a lost target on its way: the least score in the context, and how far from where it was last seen
 ESCAPED_SCORE, ESCAPED_PX, ESCAPED_STEP_PX = 0.3, 60.0, 30.0
 PLAIN = 3  # frames in which the context shows a candidate that needs no looks
-GIVEN_UP = 16  # candidates that were never judged are passed over, so many at once
+GIVEN_UP = 16  # latest candidates that could not be judged, which are passed over
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,7 +262,8 @@ def looked_at(
     """Return the search with the candidate to look at: the one before, the next, or none.
 
     The next is that around which a window most probably shows the target, less the looks that were
-    taken; `chances` (n,) are probabilities. A look that was begun is finished.
+    taken; `chances` (n,) are probabilities. A look that was begun goes on until it has
+    its verdict, for `LATE` frames more at most, and while its window shows an open candidate.
     """
     seq, views, search = tracks.header.seq, now.verdicts.views(tracks.ids), now.search
     open_ones = (chances > 0) & (views < rules.looks)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from operators.reader.ocr import MOST_LETTERS, Reading
 from operators.reader.reader import Reads, TextReader, check_reader
 from pipeline import Frame, SettingsError
-from pipeline.boxes import covered
+from pipeline.boxes import covered, in_picture
 from pipeline.errors import WeightsError
 from pipeline.inference import Network
 from pipeline.providers import NetworkSettings
@@ -177,14 +177,6 @@ def weights_of(weights: str) -> Path:
     if not found:
         raise SettingsError("weights: expected an ONNX file, or pip install 'fovea[text]'")
     return found[-1]
-
-
-def in_picture(box: NDArray[np.float32], frame: Frame) -> NDArray[np.float32]:
-    """Return a box (4,) of the sensor in pixels of a picture."""
-    left, top, right, low = frame.window
-    high, wide = frame.pixels.shape[:2]
-    scale = np.array([wide / (right - left), high / (low - top)] * 2)
-    return np.asarray((box - (left, top, left, top)) * scale, np.float32)
 
 
 def cut(pixels: Picture, box: NDArray[np.float32]) -> Picture:

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from operators.reader.ctc import LineReader, OnnxReaderSettings, cut, in_picture
+from operators.reader.ctc import LineReader, OnnxReaderSettings, cut
 from operators.reader.instances import Instances
 from operators.reader.ocr import Reading
 from pipeline import Frame, SettingsError
-from pipeline.boxes import boxes_at, covered, parts_of
+from pipeline.boxes import boxes_at, covered, in_picture, parts_of
 
 NUMBERS = "[1-9][0-9]?"
 LEAST_PX = 5.0  # height of a line in the picture: nothing smaller is read

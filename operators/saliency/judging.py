@@ -49,18 +49,22 @@ def assigned(
 
     0 where one does not fit.
     """
-    hits, counts = np.zeros(len(fit), np.bool_), np.ones(len(fit), np.bool_)
-    if not fit.shape[1]:
-        return hits, counts
-    free = ~ignored
-    for row, chances in enumerate(fit):
+    hits = matched(fit, ~ignored) >= 0
+    return hits, hits | ~((fit > 0) & ignored).any(1)
+
+
+def matched(fit: NDArray[np.floating], free: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Which of the free truths (m,) each detection hits, by how well it fits: (n, m) -> (n,).
+
+    The best of those that no better detection hit; -1 for none.
+    """
+    hit, free = np.full(len(fit), -1, np.intp), free.copy()
+    for row, chances in enumerate(fit if fit.shape[1] else ()):
         open_ones = chances * free
         if open_ones.max() > 0:
-            hits[row] = True
-            free[open_ones.argmax()] = False
-        elif (chances * ignored).max() > 0:
-            counts[row] = False
-    return hits, counts
+            hit[row] = open_ones.argmax()
+            free[hit[row]] = False
+    return hit
 
 
 def at_threshold(tally: Tally, threshold: float) -> dict[str, float]:

@@ -1,14 +1,17 @@
 """The weights of kits are fitted to what they shall tell, and scored by class."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.kits import Scene, fitted, judged, regressed, rows_of, scene, scored
+from bench.kits import Scene, fitted, judged, rows_of, scene, scored
+from bench.logistic import regressed
 from operators.saliency.example import NAMES
 from operators.training.stills import Labelled
+from pipeline.errors import RunError
 
 RED, WHITE, YELLOW, BLACK = (200, 30, 40), (235, 235, 235), (230, 220, 20), (20, 20, 20)
 Found = Mapping[str, tuple[NDArray[np.float32], NDArray[np.float32]]]
@@ -44,7 +47,7 @@ def test_a_regression_finds_what_made_the_outcome() -> None:
     inputs = rng.normal(size=(4000, 2)) * (1, 5) + (0, 20)
     chance = 1 / (1 + np.exp(-(2 * inputs[:, 0] - 0.3 * (inputs[:, 1] - 20) - 0.5)))
 
-    weights = regressed(inputs, rng.random(4000) < chance)
+    weights = regressed(inputs, rng.random(4000) < chance, 0.0)
 
     assert weights == pytest.approx([2, -0.3, 5.5], abs=0.4)
 
@@ -60,6 +63,13 @@ def test_weights_that_were_fitted_tell_referees_of_other_pictures() -> None:
     assert alone["player"] == {"present": 80, "precision": pytest.approx(0.909), "recall": 1}
     assert found["referee"] == {"present": 8, "precision": 1, "recall": 1}
     assert found["player"] == {"present": 80, "precision": 1, "recall": 1}
+
+
+def test_a_precision_that_nobody_reaches_is_an_error() -> None:
+    same = [replace(of, worn=np.zeros_like(of.worn)) for of in scenes(4, 5)]
+
+    with pytest.raises(RunError, match="precision: expected one that referees reach, got 1"):
+        fitted(same, same, 1.0)
 
 
 def test_each_data_set_has_rows_without_and_with_kits() -> None:

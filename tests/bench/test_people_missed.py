@@ -1,14 +1,17 @@
 """People are counted as missed by how much of them is covered, at the best confidence there is."""
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bench.people_missed import Sightings, assigned, least_confidence, main, rows_of
+from bench.detector_scoring import Looker
+from bench.people_missed import Sightings, assigned, least_confidence, main, of_stills, rows_of
 from operators.saliency.example import NAMES
 from operators.training.stills import Labelled
+from pipeline.errors import SettingsError
 
 PERSON = [0, 0, 10, 20]
 
@@ -63,6 +66,14 @@ def test_covered_people_have_a_row_of_their_own_and_the_wrong_class_is_told() ->
     assert told["player", "0 to 0.15"]["recall"] == 1
     assert told["player", "0.4 to 1"]["recall"] == 0.5
     assert told["referee", "all"] | {"recall": None, "as anybody": 1} == told["referee", "all"]
+
+
+def test_labels_of_other_classes_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "data.yaml").write_text("names: [player, person]")
+    looker = cast("Looker", None)  # refused before any look
+
+    with pytest.raises(SettingsError, match=r"expected classes .*, got person"):
+        next(of_stills(tmp_path, looker, "test"))
 
 
 def test_without_data_it_says_what_is_missing(tmp_path: Path) -> None:

@@ -263,6 +263,7 @@ def test_plots_are_drawn_beside_their_files_and_shown_but_those_of_a_bench_are_k
         tmp_path, sample=BY_BUDGET, own=BY_BUDGET | {"id": "own", "plot": "own.png"},
         plain=TABLE | {"id": "plain"},
         left_out=ORIGIN | {"bench": "rules", "rows": [rule, rule | gained]},
+        none_left_out=ORIGIN | {"bench": "rules", "rows": [rule]},
     )  # fmt: skip
 
     given_ = ["--plots", "--folder", str(tmp_path), "--out", str(tmp_path / "page.md")]

@@ -1,16 +1,13 @@
 """Crops of stills have the context's size, boxes inside, and people of the heights of the loop."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from operators.saliency import crops
-from operators.saliency.augment import cut
 from operators.saliency.crops import (
     crop,
     mirrored,
@@ -19,41 +16,13 @@ from operators.saliency.crops import (
     recoloured_referees,
     recoloured_team,
 )
-from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES, Example, resized
+from operators.saliency.example import ANYONE, CONTEXT_PX, Example, resized
 from operators.saliency.pasting import (
-    BALL_COVER,
-    PERSON_COVER,
     Bank,
-    Cutout,
-    at_hands,
-    cutout,
-    end_of_grass,
-    half_covered,
-    paste_at_boards,
-    paste_crowd,
-    paste_people,
-    smeared,
-    without_covered,
 )
-from operators.saliency.stills import stills
-from pipeline.boxes import iou
-from tests.operators.training.labelled_stills import match_of_stills
+from tests.operators.saliency.lawn import BALL, PLAYER, REFEREE, still
 
 SEEDS = st.integers(0, 2**32 - 1)
-BALL, PLAYER, REFEREE = (NAMES.index(name) for name in ("ball", "player", "referee"))
-
-
-def still(tall_px: float = 54.0, size: tuple[int, int] = (1920, 1080)) -> Example:
-    """People in a row and a ball, on grass."""
-    width, height = size
-    picture = np.full((height, width, 3), (60, 130, 50), np.uint8)
-    x = np.linspace(0.1, 0.9, 9)[:, None] * width
-    people = np.hstack([x, x * 0 + height / 2, x + tall_px / 2, x * 0 + height / 2 + tall_px])
-    boxes = np.vstack([people, [[width / 3, height / 3, width / 3 + 6, height / 3 + 6]]])
-    return Example(
-        picture=picture, boxes=boxes.astype(np.float32), labels=np.array([PLAYER] * 9 + [BALL]),
-        ignored=np.zeros(10, np.bool_),
-    )  # fmt: skip
 
 
 @settings(max_examples=40, deadline=None)
@@ -219,146 +188,3 @@ def test_boxes_go_with_a_picture_of_another_size(seed: int, size_px: tuple[int, 
     shares = np.array([*size_px, *size_px]), np.array([*CONTEXT_PX, *CONTEXT_PX])
     assert np.allclose(found.boxes / shares[0], example.boxes / shares[1], atol=1e-5)
     assert np.array_equal(found.labels, example.labels)
-
-
-@given(st.floats(0, 30), st.floats(0, 2 * np.pi))
-@settings(max_examples=40, deadline=None)
-def test_a_moving_object_is_as_much_light_over_a_longer_way(length: float, angle: float) -> None:
-    disc = np.zeros((9, 9), np.float32)
-    disc[2:7, 2:7] = 1
-    ball = Cutout(picture=np.full((9, 9, 3), 240, np.uint8), alpha=disc)
-
-    way = np.array([np.cos(angle), np.sin(angle)], np.float32)
-    found = smeared(ball, np.float32(length) * way)
-
-    assert found.alpha.sum() == pytest.approx(disc.sum(), rel=1e-3)
-    assert (found.picture[found.alpha > 0.05] >= 239).all()
-    rows, columns = np.nonzero(found.alpha > 1e-3)
-    wide, tall = np.ptp(columns) + 1, np.ptp(rows) + 1
-    assert wide == pytest.approx(5 + abs(length * np.cos(angle)), abs=2)
-    assert tall == pytest.approx(5 + abs(length * np.sin(angle)), abs=2)
-
-
-@pytest.fixture
-def bank(tmp_path: Path) -> Bank:
-    """One still with a ball, two players and a referee."""
-    folder = stills(match_of_stills(tmp_path, "aa_1"))
-    example = folder.example(folder.files[0])
-    return Bank(count=1, still=lambda _: example)
-
-
-def test_a_copied_person_has_a_tight_box_and_the_class_it_had(bank: Bank) -> None:
-    target = crop(still(), np.random.default_rng(5))
-
-    found = [paste_people(target, bank, np.random.default_rng(seed)) for seed in range(40)]
-
-    more = [f for f in found if len(f.labels) > len(target.labels)]
-    assert more
-    assert {int(label) for f in more for label in f.labels} >= {PLAYER, REFEREE}
-    for example in more:
-        box = example.boxes[len(target.labels)]
-        left, top, right, bottom = box.astype(int)
-        red = is_red(example.picture[top:bottom, left:right])
-        assert red.mean() > 0.4
-        assert (box >= 0).all()
-        assert (box[2:] <= CONTEXT_PX).all()
-
-
-def test_people_of_a_crowd_cover_one_another(bank: Bank) -> None:
-    target = crop(still(), np.random.default_rng(5))
-
-    found = [paste_crowd(target, bank, np.random.default_rng(seed)) for seed in range(60)]
-
-    more = [f for f in found if len(f.labels) > len(target.labels)]
-    assert 5 < len(more) < 40
-    people = np.concatenate([f.boxes[len(target.labels) :] for f in more])
-    tall = target.boxes[0, 3] - target.boxes[0, 1]
-    assert np.abs((people[:, 3] - people[:, 1]) / tall - 1).max() < 0.3
-    covered = [iou(f.boxes[-1:], f.boxes[:-1]).max() for f in more]
-    assert np.mean(np.array(covered) > 0.1) > 0.3
-
-
-def test_who_is_hardly_seen_behind_others_does_not_count() -> None:
-    example = still()
-    behind = example.boxes[0]
-    beside = behind + np.array([40, 0, 40, 0], np.float32)
-    crowd = replace(
-        example,
-        boxes=np.vstack([example.boxes, behind + 1, beside]),
-        labels=np.append(example.labels, [PLAYER, PLAYER]),
-        ignored=np.append(example.ignored, [False, False]),
-    )
-
-    found = without_covered(crowd, len(example.labels))
-
-    assert found.ignored.tolist() == [True] + [False] * 11
-
-
-@given(SEEDS)
-def test_a_held_ball_is_at_somebodys_body_and_half_of_it_is_seen(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    person = np.array([100, 50, 120, 110], np.float32)
-    disc = np.pad(np.ones((7, 7), np.float32), 1)
-    ball = Cutout(picture=np.full((9, 9, 3), 240, np.uint8), alpha=disc)
-
-    x, y = at_hands(person, rng)
-    found = half_covered(ball, rng)
-
-    assert 97 <= x <= 123
-    assert 62 <= y <= 92
-    assert 0.35 * disc.sum() < found.alpha.sum() <= disc.sum()
-
-
-def test_people_at_the_boards_stand_where_the_grass_ends(bank: Bank) -> None:
-    target = crop(still(), np.random.default_rng(5))
-    boards = 60
-    target.picture[:boards] = (90, 60, 120)
-    far = target.boxes[target.labels == PLAYER]
-    tall = float(far[0, 3] - far[0, 1])
-
-    found = [paste_at_boards(target, bank, np.random.default_rng(seed)) for seed in range(40)]
-
-    more = np.concatenate([f.boxes[len(target.labels) :] for f in found])
-    assert len(more) > 5
-    assert {int(n) for f in found for n in f.labels[len(target.labels) :]} == {PLAYER, REFEREE}
-    assert (np.abs(more[:, 3] - boards - 0.2 * tall) < 0.3 * tall + 2).all()
-    assert (more[:, 3] - more[:, 1] < 1.15 * tall + 2).all()
-
-
-@given(st.integers(0, 99), st.integers(0, 9))
-def test_the_grass_ends_above_lines_and_feet_on_it(end: int, gap: int) -> None:
-    column = np.zeros(100, np.bool_)
-    column[end:] = True
-    inner = slice(end + 1, min(end + 1 + gap, 99))
-    column[inner] = False
-
-    assert end_of_grass(column, 30.0) == end
-    column[:] = False
-    assert end_of_grass(column, 30.0) == 100
-
-
-def test_a_picture_without_people_or_grass_gets_nobody_at_its_boards(bank: Bank) -> None:
-    target = crop(still(), np.random.default_rng(5))
-    nobody = cut(replace(target, boxes=target.boxes + 4000), *CONTEXT_PX)
-    grey = replace(target, picture=np.full_like(target.picture, 90))
-
-    for example in (nobody, grey):
-        found = [paste_at_boards(example, bank, np.random.default_rng(k)) for k in range(20)]
-        assert {len(f.labels) for f in found} == {len(example.labels)}
-
-
-def test_what_does_not_stand_out_is_not_copied(bank: Bank) -> None:
-    example = bank.still(0)
-    dull = Example(
-        picture=np.full_like(example.picture, 90), boxes=example.boxes, labels=example.labels,
-        ignored=example.ignored,
-    )  # fmt: skip
-
-    assert cutout(example, 1, 0.5, PERSON_COVER) is not None
-    assert cutout(example, 0, 0.5, BALL_COVER) is not None
-    assert cutout(dull, 1, 0.5, PERSON_COVER) is None
-    assert cutout(example, 1, 2.0, PERSON_COVER) is None  # enlarged, it would be blurred
-
-
-def is_red(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    return np.asarray(picture[..., 0].astype(int) - picture[..., 1] > 60)
