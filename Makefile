@@ -53,8 +53,9 @@ demo: $(VENV)/.installed $(patsubst %,$(VENV)/.installed-%,\
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n 4 --dist loadfile
 
+# two: agents are to answer within seconds
 test-hosts: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n 4 --dist loadfile -m "hosts and not (slow or hardware or footage)" \
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "hosts and not (slow or hardware or footage)" \
 		tests/pipeline/fleet
 
 test-slow: $(VENV)/.installed-dev
