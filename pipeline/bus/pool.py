@@ -5,8 +5,10 @@ The writer holds an exclusive open-file-description lock on a slot's byte while 
 shared one until its readers had their chance; a reader holds a shared lock while any numpy view of
 the slot exists. The kernel releases the locks of a dead process, so a crash cannot leak a slot.
 
-A pool never changes its size: larger messages get a new file, named in their descriptor. The file
-outlives its writer; the supervisor removes it with the memory folder of the run.
+A pool never changes its size: larger messages get a new file, named in their descriptor. The
+outgrown file is removed when as many messages as it has slots have followed; before that a reader
+may not have opened it yet. A file outlives its writer; the supervisor removes it with the memory
+folder of the run.
 """
 
 import contextlib
@@ -18,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from pipeline.bus.pool_file import MAX_SLOTS, PoolFile, is_pool, reuse_or_create
+from pipeline.bus.pool_file import MAX_SLOTS, PoolFile, create, is_pool, pools_of
 from pipeline.errors import MessageError, PoolExhausted, RunError
 from pipeline.private_folder import PrivateFolder
 
@@ -96,8 +98,8 @@ class PoolWriter:
         self._lent: set[int] = set()
         self._recent = list(range(slots))  # the last written slot comes first
         self._ahead: Lease | None = None
-        self._outgrown: list[PoolFile] = []
-        self._kept = 0
+        self._outgrown: dict[str, PoolFile] = {}  # by name, with the locks they hold
+        self._following: dict[str, int] = {}  # messages after which an outgrown file is removed
 
     def lease(self, nbytes: int) -> Lease:
         """Lease a slot of at least `nbytes`; raises `PoolExhausted` when none is free now."""
@@ -116,11 +118,9 @@ class PoolWriter:
                 self._ahead = self._lease(0)
 
     def _lease(self, nbytes: int) -> Lease:
-        if self._file is None or self._file.slot_bytes < nbytes:
-            self._file = reuse_or_create(self._folder, self._stem, self._slots, nbytes)
-            self._held.clear()
-            self._lent.clear()
-        file = self._file
+        if self._file is not None and self._file.slot_bytes < nbytes:
+            self._outgrow(self._file)
+        file = self._file = self._file or self._reuse_or_create(nbytes)
         for slot in self._candidates():
             if file.lock(fcntl.F_WRLCK, slot):
                 self._held.pop(slot, None)
@@ -132,6 +132,34 @@ class PoolWriter:
                 del self._held[slot]
                 file.lock(fcntl.F_UNLCK, slot)
         raise PoolExhausted(f"{file.name}: all {self._slots} slots are leased")
+
+    def _reuse_or_create(self, nbytes: int) -> PoolFile:
+        """Return the predecessor's file, so that readers keep their mapping, or a new one."""
+        fitting = None
+        for file in pools_of(self._folder, self._stem):
+            if file.name in self._outgrown:
+                continue
+            if fitting is None and file.slots == self._slots and file.slot_bytes >= nbytes:
+                fitting = file
+            else:
+                self._outgrow(file)
+        return fitting or create(self._folder, self._stem, self._slots, nbytes)
+
+    def _outgrow(self, file: PoolFile) -> None:
+        """Keep a file until every reader of the messages in it had its chance, then remove it."""
+        self._outgrown[file.name], self._following[file.name] = file, file.slots
+        if file is self._file:
+            self._file, self._ahead = None, None
+            self._held.clear()
+            self._lent.clear()
+
+    def _remove_outgrown(self) -> None:
+        """Count one more message; remove the files that no reader needs any more."""
+        for name in list(self._outgrown):
+            self._following[name] -= 1
+            if self._following[name] < 0:
+                del self._outgrown[name], self._following[name]
+                self._folder.remove(name)
 
     def _candidates(self) -> Iterator[int]:
         spare = []
@@ -150,14 +178,14 @@ class PoolWriter:
         """Open the slot for readers; must be called before the descriptor is sent."""
         lease.pool.lock(fcntl.F_RDLCK, lease.slot)
         if self._outgrown:
-            self._kept -= 1
-            if self._kept < 0:
-                self._outgrown.clear()
+            self._remove_outgrown()
         if lease.pool is self._file:
             self._lent.discard(lease.slot)
             self._held[lease.slot] = ordinal
             self._recent.remove(lease.slot)
             self._recent.insert(0, lease.slot)
+        else:  # lent ahead, before its file was outgrown
+            self._outgrow(lease.pool)
 
     def let_go(self) -> None:
         """While another process writes: release every slot that no reader needs."""
@@ -172,11 +200,7 @@ class PoolWriter:
     def resize(self, slots: int) -> None:
         """Change the number of slots from the next message on; the old file stays readable."""
         if slots > self._slots and self._file is not None:
-            self._outgrown.append(self._file)  # with the locks it holds
-            self._kept = slots  # after this many messages every reader has had its chance
-            self._file, self._ahead = None, None
-            self._held.clear()
-            self._lent.clear()
+            self._outgrow(self._file)
         self._slots = max(slots, self._slots)
         self._recent = list(range(self._slots))
 

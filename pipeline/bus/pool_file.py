@@ -4,6 +4,7 @@ Pool files are in the private memory folder of a run: another user can neither r
 them, nor create a file of that name first.
 """
 
+import contextlib
 import fcntl
 import mmap
 import os
@@ -11,6 +12,7 @@ import re
 import secrets
 import struct
 import weakref
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -84,19 +86,12 @@ class PoolFile:
             self.lock(fcntl.F_UNLCK, slot)
 
 
-def reuse_or_create(folder: PrivateFolder, stem: str, slots: int, nbytes: int) -> PoolFile:
-    """Open the predecessor's file, so that readers keep their mapping, or create a new one."""
+def pools_of(folder: PrivateFolder, stem: str) -> Iterator[PoolFile]:
+    """Open the pools of a port, of whichever writer, one after another."""
     for name in folder.names():
-        if not is_pool(name, stem):
-            continue
-        try:
-            file = PoolFile(folder, name, writable=True)
-        except MessageError:
-            continue
-        if file.slots == slots and file.slot_bytes >= nbytes:
-            return file
-        folder.remove(name)  # too small; it exists until its last reader closes it
-    return _create(folder, stem, slots, nbytes)
+        if is_pool(name, stem):
+            with contextlib.suppress(MessageError):  # removed meanwhile, or no pool
+                yield PoolFile(folder, name, writable=True)
 
 
 def is_pool(name: str, stem: str) -> bool:
@@ -121,7 +116,8 @@ def _slot_bytes(nbytes: int) -> int:
     return -(-max(nbytes, 1) // PAGE_BYTES) * PAGE_BYTES
 
 
-def _create(folder: PrivateFolder, stem: str, slots: int, nbytes: int) -> PoolFile:
+def create(folder: PrivateFolder, stem: str, slots: int, nbytes: int) -> PoolFile:
+    """Create a pool; raises `RunError` without room in memory."""
     slot_bytes, size = _slot_bytes(nbytes), pool_bytes(slots, nbytes)
     name = f"{stem}.{secrets.token_hex(4)}"
     part = f"{name}.part"

@@ -1,5 +1,6 @@
 """Frame pools copy nothing, overwrite no picture in use, and free the slots of dead readers."""
 
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -10,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from pipeline import MessageError, PoolExhausted, RunError
 from pipeline.bus.pool import (
@@ -26,12 +29,18 @@ from pipeline.run.memory_folder import MemoryFolder
 STEM = "eye.out"
 
 
-@pytest.fixture
-def memory() -> Iterator[MemoryFolder]:
+@contextlib.contextmanager
+def closing_memory() -> Iterator[MemoryFolder]:
     folder = MemoryFolder.claim()
     yield folder
     folder.empty()
     assert not folder.exists
+
+
+@pytest.fixture
+def memory() -> Iterator[MemoryFolder]:
+    with closing_memory() as folder:
+        yield folder
 
 
 def writer(memory: MemoryFolder, slots: int = 3, *, claim: int = DONE) -> PoolWriter:
@@ -164,6 +173,61 @@ def test_bigger_messages_get_a_new_file_and_old_views_stay_whole(memory: MemoryF
     assert big is not None
     assert small.sum() == 7 * 8192
     assert big.sum() == 8 * 100_000
+
+
+def test_a_reader_on_its_way_still_finds_the_file_that_was_outgrown(memory: MemoryFolder) -> None:
+    pool, reader = writer(memory), PoolReader(memory, STEM)
+    small, big = fill(pool, 7, 1), fill(pool, 8, 2, nbytes=100_000)
+
+    taken = [reader.take(small), reader.take(big)]
+
+    assert [view is not None and int(view[0]) for view in taken] == [7, 8]
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    st.lists(st.tuples(st.integers(8192, 200_000), st.integers(0, 3)), min_size=2, max_size=40),
+    st.integers(0, 39),
+)
+def test_no_message_is_lost_however_messages_grow_and_readers_are_late(
+    messages: list[tuple[int, int]], resized_at: int
+) -> None:
+    with closing_memory() as memory:
+        unread: list[tuple[int, SlotRef]] = []
+        read: list[int] = []
+        reader = PoolReader(memory, STEM)
+
+        def claim(ordinal: int) -> int:
+            return KEPT if any(ordinal == number for number, _ in unread) else DONE
+
+        pool = PoolWriter(memory, STEM, 4, claim)
+        for ordinal, (nbytes, late) in enumerate(messages):
+            if ordinal == resized_at:
+                pool.resize(6)
+            unread.append((ordinal, fill(pool, ordinal, ordinal, nbytes)))
+            while len(unread) > late:
+                number, ref = unread.pop(0)
+                view = reader.take(ref)
+                assert view is not None, number
+                assert view.min() == view.max() == number
+                del view  # it leases its slot
+                read.append(number)
+        assert read == list(range(len(read)))
+
+
+def test_outgrown_files_are_removed_when_all_readers_had_their_chance(
+    memory: MemoryFolder,
+) -> None:
+    fill(writer(memory), 1)
+    pool = writer(memory)  # restarted: its predecessor's file is outgrown, too
+
+    for ordinal in range(1, 4):
+        fill(pool, ordinal, ordinal, nbytes=ordinal * 10_000)
+    assert len(memory.names()) == 4
+
+    for ordinal in range(4, 8):
+        fill(pool, ordinal, ordinal)
+
     assert len(memory.names()) == 1
 
 
