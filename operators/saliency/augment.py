@@ -148,10 +148,10 @@ def paste(example: Example, rng: np.random.Generator) -> Example:
     found = []
     for _ in range(rng.poisson(1.2)):
         under = picture.copy()
-        diameter = float(np.clip(tall * rng.uniform(*BALL_TO_PERSON), 2.2, 14))
+        diameter = float(np.clip(tall * rng.uniform(*BALL_TO_PERSON), 2.2, 22))
         smear, shift = ball_movement(diameter, rng)
         place = somewhere(example, rng) if shift.any() else at_rest(example, rng)
-        found.append(_draw_ball(picture, place, diameter, smear, rng))
+        found.append(draw_ball(picture, place, diameter, smear, rng))
         difference = with_motion(difference, under, picture, shift)
     balls = np.array(found, np.float32).reshape(-1, 4)
     pasted = replace(
@@ -192,7 +192,7 @@ def at_rest(example: Example, rng: np.random.Generator) -> tuple[float, float]:
     return float(rng.uniform(4, width - 4)), float(rng.uniform(min(float(feet.min()), low), low))
 
 
-def _draw_ball(
+def draw_ball(
     picture: NDArray[np.uint8],
     place: tuple[float, float],
     diameter: float,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from operators.saliency.augment import clutter, cut, paste
 from operators.saliency.example import ANYONE, BALL, CONTEXT_PX, NAMES, Example, resized
+from operators.saliency.marks import with_marks
 from operators.saliency.movement import in_motion, roughened
 from operators.saliency.pasting import (
     Bank,
@@ -27,6 +28,7 @@ from operators.training.photometric import degrade, recolour
 BALL_LABEL = NAMES.index(BALL)
 PERSON_PX = (8.0, 60.0)  # height of people after shrinking, from a lean context to a ROI
 MOST_ENLARGED = 1.6
+ROI_SCALE = (0.6, 2.0)  # pixels of what shows a ROI over those of full resolution
 USUAL_SHARE = 0.45  # of the crops that have the scale of the context, or of a tile
 CONTEXT_SHARE = 0.7  # of the pictures for a larger input: what a context shows, enlarged
 LEAST_PLAYERS, LEAST_APART = 6, 30.0  # to tell two teams apart: people, levels of colour
@@ -34,15 +36,20 @@ WEIGHTS = {BALL_LABEL: 4.0, NAMES.index("referee"): 2.5}  # of what a crop is pl
 
 
 def augmented(
-    still: Example, bank: Bank, rng: np.random.Generator, size_px: tuple[int, int] = CONTEXT_PX
-) -> Example:
+    still: Example, bank: Bank, rng: np.random.Generator, size_px: tuple[int, int] = CONTEXT_PX,
+    *, roi: bool = False,
+) -> Example:  # fmt: skip
     """Crop, mirror, add people and balls of other stills, recolour kits, litter, degrade.
 
     For a picture larger than the context most are of its size and then enlarged, as the loop
-    does it; the others show as much of the still as a larger context does.
+    does it; the others show as much of the still as a larger context does. With `roi` it shows
+    what a ROI does, and more balls, in hands and in flight.
     """
-    enlarged = size_px == CONTEXT_PX or rng.random() < CONTEXT_SHARE
-    example = crop(still, rng, CONTEXT_PX if enlarged else size_px)
+    if roi:
+        example = crop(still, rng, size_px, scale=float(np.exp(rng.uniform(*np.log(ROI_SCALE)))))
+    else:
+        enlarged = size_px == CONTEXT_PX or rng.random() < CONTEXT_SHARE
+        example = crop(still, rng, CONTEXT_PX if enlarged else size_px)
     if rng.random() < 0.5:
         example = mirrored(example)
     if rng.random() < 0.3:
@@ -55,7 +62,9 @@ def augmented(
     example = paste_people(example, bank, rng)
     example = paste_crowd(example, bank, rng)
     example = paste_at_boards(example, bank, rng)
-    example = paste_balls(example, bank, rng)
+    if roi:
+        example = replace(example, picture=with_marks(example, rng))
+    example = paste_balls(example, bank, rng, near=roi)
     if rng.random() < 0.15:
         example = replace(example, picture=clutter(example, rng))
     example = paste(example, rng)
@@ -85,11 +94,12 @@ def scale_of(
 
 
 def crop(
-    still: Example, rng: np.random.Generator, size_px: tuple[int, int] = CONTEXT_PX
-) -> Example:
-    """A random part of the still at a random scale, mostly around an object."""
+    still: Example, rng: np.random.Generator, size_px: tuple[int, int] = CONTEXT_PX,
+    scale: float = 0.0,
+) -> Example:  # fmt: skip
+    """A random part of the still at this or a random scale, mostly around an object."""
     height, width = still.picture.shape[:2]
-    scale = scale_of(still, rng, size_px)
+    scale = scale or scale_of(still, rng, size_px)
     wide, tall = (min(round(side / scale), most) for side, most in zip(
         size_px, (width, height), strict=True))  # fmt: skip
     left, top = rng.integers(0, width - wide + 1), rng.integers(0, height - tall + 1)

@@ -106,8 +106,8 @@ class Real(Dataset[Example]):
     the square root. The stills are kept in memory, 6 MB each for full HD.
     """
 
-    def __init__(self, folders: Iterable[Stills], *, seed: int) -> None:
-        self._seed, self._folders = seed, tuple(folders)
+    def __init__(self, folders: Iterable[Stills], *, seed: int, roi_share: float = 0.0) -> None:
+        self._seed, self._folders, self._roi_share = seed, tuple(folders), roi_share
         counts = np.array([len(folder.files) for folder in self._folders], np.float64)
         self._turns = np.sqrt(counts) / np.sqrt(counts).sum()
         self._kept: dict[Path, Example] = {}
@@ -124,7 +124,8 @@ class Real(Dataset[Example]):
         folder = self._folders[rng.choice(len(self._folders), p=self._turns)]
         bank = Bank(count=len(folder.files), still=lambda index: self._still(folder, index))
         still = bank.still(int(rng.integers(bank.count)))
-        example = augmented(still, bank, rng, size_px)
+        roi = self._roi_share > 0 and rng.random() < self._roi_share
+        example = augmented(still, bank, rng, size_px, roi=roi)
         # nothing says where the ball is that must be somewhere: no place counts as empty
         return example if (still.labels == BALL_LABEL).any() else without_ball(example)
 

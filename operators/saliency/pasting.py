@@ -13,8 +13,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.augment import BALL_LABEL, BALL_TO_PERSON, at_rest, somewhere
+from operators.saliency.augment import (
+    BALL_LABEL,
+    BALL_TO_PERSON,
+    at_rest,
+    draw_ball,
+    somewhere,
+)
 from operators.saliency.example import NAMES, Example
+from operators.saliency.hands import hands_over
 from operators.saliency.movement import ball_movement, person_movement, with_motion
 
 Array = NDArray[np.float32]
@@ -26,6 +33,9 @@ MOST_HIDDEN = 0.5  # share of an object that a copy may cover
 MOST_IN_CROWD = 0.75  # the same where people stand before one another, as at a free kick
 HARDLY_SEEN = 0.85  # share of a person's box behind other boxes from which it need not be found
 HELD_SHARE = 0.15  # of the balls pasted: at somebody's hands, partly behind them
+HELD_NEAR, GLOVED_SHARE = 0.4, 0.75  # the same seen from near; of those behind drawn hands
+DRAWN_SHARE = 0.6  # of those: drawn balls, since copies of far ones are blurred
+EMPTY_SHARE = 0.25  # of the pictures seen from near: hands with nothing in them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,35 +176,67 @@ def end_of_grass(column: NDArray[np.bool_], tall_px: float) -> int:
     return int(rows[gaps[-1] + 1] if len(gaps) else rows[0])
 
 
-def paste_balls(example: Example, bank: Bank, rng: np.random.Generator) -> Example:
-    """Add up to two real balls of the size that people's height tells."""
+def paste_balls(
+    example: Example, bank: Bank, rng: np.random.Generator, *, near: bool = False
+) -> Example:
+    """Add up to two real balls of the size that people's height tells.
+
+    Of what is seen from `near` one is always tried, many are in hands, and some hands are empty.
+    """
     people = example.boxes[example.labels != BALL_LABEL]
     if not len(people):
         return example
     tall = float(np.median(people[:, 3] - people[:, 1]))
-    for _ in range(int(rng.integers(1, 3)) if rng.random() < 0.5 else 0):
+    if near and rng.random() < EMPTY_SHARE:
+        empty = at_hands(people[rng.integers(len(people))], rng)
+        size = tall * rng.uniform(*BALL_TO_PERSON)
+        example = replace(example, picture=hands_over(example.picture, empty, size, rng))
+    for _ in range(int(rng.integers(1, 3)) if near or rng.random() < 0.5 else 0):
         taken = _chosen(bank, rng, _balls)
         if taken is None:
             continue
         still, row = taken
         box = still.boxes[row]
         diameter = max(tall * rng.uniform(*BALL_TO_PERSON), 1.8)
-        piece = cutout(
-            still, row, diameter / max(float((box[2:] - box[:2]).max()), 1.0), BALL_COVER
-        )
+        gain = diameter / max(float((box[2:] - box[:2]).max()), 1.0)
+        piece = cutout(still, row, gain, BALL_COVER, 2 * MOST_GAIN if near else MOST_GAIN)
         if piece is None:
             continue
         smear, shift = ball_movement(diameter, rng)
         x, y = somewhere(example, rng) if shift.any() else at_rest(example, rng)
-        if rng.random() < HELD_SHARE:
+        held = rng.random() < (HELD_NEAR if near else HELD_SHARE)
+        gloved = near and held and rng.random() < GLOVED_SHARE
+        if held:
             x, y = at_hands(people[rng.integers(len(people))], rng)
-            piece, shift = half_covered(piece, rng), person_movement(tall, rng)
+            shift = person_movement(tall, rng)
+            piece = piece if gloved else half_covered(piece, rng)
         elif smear.any():
             piece = smeared(piece, smear)
-        high, wide = piece.alpha.shape
-        left, top = int(x - wide / 2), int(y - high / 2)
-        example = _laid(example, piece, left, top, BALL_LABEL, rng, shift)
+        if gloved and rng.random() < DRAWN_SHARE:
+            laid = _drawn(example, (x, y), diameter, rng)
+        else:
+            high, wide = piece.alpha.shape
+            left, top = int(x - wide / 2), int(y - high / 2)
+            laid = _laid(example, piece, left, top, BALL_LABEL, rng, shift)
+        if gloved and laid is not example:
+            laid = replace(laid, picture=hands_over(laid.picture, (x, y), diameter, rng))
+        example = laid
     return example
+
+
+def _drawn(
+    example: Example, place: tuple[float, float], diameter: float, rng: np.random.Generator
+) -> Example:
+    """The example with a drawn ball, which is as sharp as the picture, and moved with it."""
+    picture = example.picture.copy()
+    box = draw_ball(picture, place, diameter, np.zeros(2, np.float32), rng)
+    return replace(
+        example,
+        picture=picture,
+        boxes=np.concatenate([example.boxes, np.array([box], np.float32)]),
+        labels=np.append(example.labels, BALL_LABEL),
+        ignored=np.append(example.ignored, False),
+    )
 
 
 def at_hands(person: Array, rng: np.random.Generator) -> tuple[float, float]:
@@ -251,7 +293,9 @@ def _chosen(
     return (still, int(rng.choice(rows))) if len(rows) else None
 
 
-def cutout(still: Example, row: int, gain: float, cover: tuple[float, float]) -> Cutout | None:
+def cutout(
+    still: Example, row: int, gain: float, cover: tuple[float, float], most_gain: float = MOST_GAIN
+) -> Cutout | None:
     """An object, scaled, without its background; none where it does not stand out."""
     left, top, right, bottom = np.round(still.boxes[row]).astype(int).tolist()
     high, wide = still.picture.shape[:2]
@@ -260,7 +304,7 @@ def cutout(still: Example, row: int, gain: float, cover: tuple[float, float]) ->
         return None
     part = still.picture[top - margin : bottom + margin, left - margin : right + margin]
     size = round(part.shape[1] * gain), round(part.shape[0] * gain)
-    if gain > MOST_GAIN or min(size) < 2 or min(part.shape[:2]) < 2 * margin + 3:
+    if gain > most_gain or min(size) < 2 or min(part.shape[:2]) < 2 * margin + 3:
         return None
     frame = np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]])
     away = np.abs(part.astype(np.float32) - np.median(frame, axis=0)).max(2)

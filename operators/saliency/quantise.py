@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.saliency.crops import crop
 from operators.saliency.description import described
 from operators.saliency.detector import Detector
 from operators.saliency.example import CONTEXT_PX, resized
@@ -90,12 +91,18 @@ def quantise(path: Path, pictures: Iterator[Picture], out: Path) -> None:
     onnx.save(model, out)
 
 
-def training_pictures(folder: Path, most: int) -> Iterator[Picture]:
-    """Well-spaced stills that a training sees, each with a frame before it as a context has it."""
+def training_pictures(folder: Path, most: int, *, roi: bool = False) -> Iterator[Picture]:
+    """Well-spaced stills that a training sees, each with a frame before it as a context has it.
+
+    With `roi` a part of each at full resolution, as a ROI shows it.
+    """
     found = stills(folder, without=HELD_OUT)
     files = found.files[:: max(1, len(found.files) // most)][:most]
     for number, file in enumerate(files):
         still = found.example(file)
+        if roi:
+            yield crop(still, np.random.default_rng(number), CONTEXT_PX, scale=1.0).picture, None
+            continue
         item = in_motion(resized(still, CONTEXT_PX), np.random.default_rng(number))
         changed = item.difference
         yield still.picture, None if changed is None else np.rint(changed).astype(np.int16)
@@ -108,11 +115,12 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--weights", type=Path, required=True)
     parser.add_argument("--stills", type=Path, required=True, help="labelled, to calibrate on")
     parser.add_argument("--pictures", type=count, default=64)
+    parser.add_argument("--roi", action="store_true", help="calibrate on what a ROI shows")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args(words)
     need("onnx", "quantise")
     described(given.weights, Network(given.weights, threads=1).metadata)  # refused in a sentence
-    seen = each_of(training_pictures(given.stills, given.pictures), "calibrate")
+    seen = each_of(training_pictures(given.stills, given.pictures, roi=given.roi), "calibrate")
     quantise(given.weights, iter(seen), given.out)
     print(json.dumps({"bytes": given.out.stat().st_size}))
 

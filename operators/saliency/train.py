@@ -64,6 +64,7 @@ def main(words: Sequence[str] | None = None) -> None:
     if target is not None:
         net = DetectorNet(difference=settings.difference)
         checkpoint.take(checkpoint.path_in(settings.out), {"mean": net})
+        target.mkdir(parents=True, exist_ok=True)
         export(net, target / "detector.onnx", trained_on(settings), settings.width_px)
         return
     run = train(settings)

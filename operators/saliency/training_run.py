@@ -118,7 +118,7 @@ def source_of(settings: TrainSettings) -> Mixed:
     seed = settings.seed
     return Mixed(
         Rendered(files, seed=seed, raw_share=settings.raw_share) if files else None,
-        Real(real, seed=seed) if real else None,
+        Real(real, seed=seed, roi_share=settings.roi_share) if real else None,
         settings.stills_share,
         seed,
         widths_px=settings.widths_px,

@@ -8,6 +8,7 @@ from operators.training.ranges import above_zero, at_least, known_device
 from operators.training.splits import HELD_OUT
 from pipeline.errors import SettingsError
 
+LEAST_PX = 256
 MOST_PX = 2048  # a batch of larger pictures would not fit into memory
 
 
@@ -37,6 +38,7 @@ class TrainSettings:
     difference: bool = False  # add a head for a moving ball that gets what changed
     moving_only: bool = False  # train that head; all else stays as it was to begin with
     raw_share: float = 0.0  # share of the pictures that are seen through a raw sensor
+    roi_share: float = 0.0  # share of the stills' pictures that show what a ROI does
     init: Path | None = None  # checkpoint or .onnx to begin with instead of random weights
     device: str = "auto"  # where the network is; scenes are drawn on processors
 
@@ -45,13 +47,13 @@ class TrainSettings:
         for name, width in zip(("width_px", "also_px"), self.widths_px, strict=False):
             if width % MULTIPLE_PX:
                 raise SettingsError(f"{name}: must be a multiple of {MULTIPLE_PX}, got {width}")
-            if not INPUT_PX[0] <= width <= MOST_PX:
+            if not LEAST_PX <= width <= MOST_PX:
                 none = "0 or " if name == "also_px" else ""
-                said = f"{name}: must be {none}within {INPUT_PX[0]}..{MOST_PX}, got {width}"
+                said = f"{name}: must be {none}within {LEAST_PX}..{MOST_PX}, got {width}"
                 raise SettingsError(said)
         at_least(0, self, "scenes", "warmup", "decay", "seed")  # no scenes: other data alone
         above_zero(self, "rate", "minutes")
-        for name in ("raw_share", "stills_share"):
+        for name in ("raw_share", "roi_share", "stills_share"):
             if not 0 <= (share := getattr(self, name)) <= 1:
                 raise SettingsError(f"{name}: must be within 0..1, got {share}")
         known_device(self.device)

@@ -23,13 +23,14 @@ from operators.saliency.pasting import (
     end_of_grass,
     half_covered,
     paste_at_boards,
+    paste_balls,
     paste_crowd,
     paste_people,
     smeared,
     without_covered,
 )
-from pipeline.boxes import iou
-from tests.operators.saliency.lawn import PLAYER, REFEREE, still
+from pipeline.boxes import centres, iou
+from tests.operators.saliency.lawn import BALL, PLAYER, REFEREE, still
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -112,6 +113,27 @@ def test_a_held_ball_is_at_somebodys_body_and_half_of_it_is_seen(seed: int) -> N
     assert 97 <= x <= 123
     assert 62 <= y <= 92
     assert 0.35 * disc.sum() < found.alpha.sum() <= disc.sum()
+
+
+def test_what_is_near_shows_more_balls_and_some_are_held(bank: Bank) -> None:
+    target = crop(still(90.0), np.random.default_rng(5))
+    people = target.boxes[target.labels != BALL]
+
+    found = {
+        near: [paste_balls(target, bank, np.random.default_rng(k), near=near) for k in range(80)]
+        for near in (False, True)
+    }
+
+    pasted = {
+        near: np.concatenate([e.boxes[len(target.labels) :] for e in examples])
+        for near, examples in found.items()
+    }
+    assert len(pasted[True]) > 1.5 * len(pasted[False])
+    assert {int(e.labels[-1]) for e in found[True]} == {BALL}
+    x, y = centres(pasted[True]).T[..., None]
+    left, top, right, bottom = people.T
+    at_body = (x > left - 4) & (x < right + 4) & (y > top) & (y < top + 0.75 * (bottom - top))
+    assert 0.2 < at_body.any(1).mean() < 0.7
 
 
 def test_people_at_the_boards_stand_where_the_grass_ends(bank: Bank) -> None:

@@ -47,6 +47,19 @@ def test_a_network_that_reads_the_difference_is_calibrated_with_one(tmp_path: Pa
     assert any(changed is not None for _, changed in training_pictures(folder, 4))
 
 
+def test_what_reads_a_roi_is_calibrated_with_parts_at_full_resolution(tmp_path: Path) -> None:
+    folder = match_of_stills(tmp_path, "aa_1", "aa_2")
+
+    shown = list(training_pictures(folder, 2, roi=True))
+
+    assert {picture.shape for picture, _ in shown} == {(270, 480, 3)}
+    whole = [picture for picture, _ in training_pictures(folder, 2)]
+    assert all(
+        np.isin(picture.reshape(-1, 3), still.reshape(-1, 3)).all()  # not resampled
+        for (picture, _), still in zip(shown, whole, strict=True)
+    )
+
+
 def test_what_is_decoded_stays_in_single_precision() -> None:
     nodes = quantised_nodes(SHIPPED)
 

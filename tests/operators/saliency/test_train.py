@@ -149,11 +149,11 @@ def test_weights_of_any_training_are_exported_with_its_input(
     Run(replace(settings_in(tmp_path), width_px=width_px)).save()
 
     main(
-        ["--data", str(tmp_path), "--out", str(tmp_path), "--export", str(tmp_path),
+        ["--data", str(tmp_path), "--out", str(tmp_path), "--export", str(tmp_path / "own"),
          "--width-px", str(width_px)]
     )  # fmt: skip
 
-    found = Detector(SaliencySettings(weights=str(tmp_path / "detector.onnx")))
+    found = Detector(SaliencySettings(weights=str(tmp_path / "own" / "detector.onnx")))
     assert found.size_px == input_px
 
 
