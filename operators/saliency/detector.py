@@ -43,11 +43,12 @@ MOVING = Path(__file__).with_name("detector_moving.onnx")
 # was also shown people before one another
 LARGER = Path(__file__).with_name("detector_larger.onnx")
 CROWDS = Path(__file__).with_name("detector_crowds.onnx")
+ROI = Path(__file__).with_name("detector_roi.onnx")  # in eight bits, for full resolution in 384x224
 OBJECTS = Path(__file__).parent / "objects" / "objects.onnx"  # what a robot handles
 TEXT = Path(__file__).with_name("text.onnx")  # texts in streets, as turned boxes
 NAMED = {
     "": SHIPPED, "eight_bits": EIGHT_BITS, "moving": MOVING, "larger": LARGER, "crowds": CROWDS,
-    "objects": OBJECTS, "text": TEXT,
+    "roi": ROI, "objects": OBJECTS, "text": TEXT,
 }  # fmt: skip
 FEATURE_STRIDE_PX = 8
 USUAL_CONFIDENCE = 0.25
