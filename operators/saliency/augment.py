@@ -20,6 +20,7 @@ LEAST_SHARE = 0.3  # share of an object that must remain in the picture
 BALL_TO_PERSON = (0.085, 0.17)  # diameter over height; a ball measures 0.22 m
 GROUND_SHARE = 0.6  # of the balls that lie still: anywhere on the grass, and not at somebody
 FINE = 8  # sub-pixels a side of a pasted thing
+MOST_BALL_PX = 14.0  # diameter in a context, enlarged or not
 
 
 def augment(example: Example, rng: np.random.Generator, raw_share: float = 0.0) -> Example:
@@ -134,7 +135,9 @@ def _texture(wide: int, tall: int, rng: np.random.Generator) -> NDArray[np.uint8
     return drawn
 
 
-def paste(example: Example, rng: np.random.Generator) -> Example:
+def paste(
+    example: Example, rng: np.random.Generator, most_ball_px: float = MOST_BALL_PX
+) -> Example:
     """Paste balls over people, lines, grass and stands, and white look-alikes."""
     people = example.boxes[example.labels != BALL_LABEL]
     tall = float(np.median(people[:, 3] - people[:, 1])) if len(people) else 36.0
@@ -148,7 +151,7 @@ def paste(example: Example, rng: np.random.Generator) -> Example:
     found = []
     for _ in range(rng.poisson(1.2)):
         under = picture.copy()
-        diameter = float(np.clip(tall * rng.uniform(*BALL_TO_PERSON), 2.2, 22))
+        diameter = float(np.clip(tall * rng.uniform(*BALL_TO_PERSON), 2.2, most_ball_px))
         smear, shift = ball_movement(diameter, rng)
         place = somewhere(example, rng) if shift.any() else at_rest(example, rng)
         found.append(draw_ball(picture, place, diameter, smear, rng))
@@ -225,7 +228,7 @@ def draw_ball(
     colour = rng.uniform(170, 255) * (1 + rng.normal(size=3) * 0.04)
     if rng.random() < 0.1:
         colour = rng.uniform([180, 150, 20], [255, 240, 160])
-    _blend(picture, left, top, cover, shade, colour)
+    blend(picture, left, top, cover, shade, colour)
     half_w, half_h = (diameter + abs(dx)) / 2, (diameter + abs(dy)) / 2
     return place[0] - half_w, place[1] - half_h, place[0] + half_w, place[1] + half_h
 
@@ -251,10 +254,10 @@ def _draw_lookalike(
             corners = cv2.boxPoints((centre, sides, turn))
             cv2.fillPoly(canvas, [corners.astype(np.int32)], 1.0)
     colour = rng.uniform(150, 255) * (1 + rng.normal(size=3) * 0.05)
-    _blend(picture, left, top, canvas, canvas, colour)
+    blend(picture, left, top, canvas, canvas, colour)
 
 
-def _blend(
+def blend(
     picture: NDArray[np.uint8],
     left: int,
     top: int,

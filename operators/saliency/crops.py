@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.augment import clutter, cut, paste
+from operators.saliency.augment import MOST_BALL_PX, clutter, cut, paste
 from operators.saliency.example import ANYONE, BALL, CONTEXT_PX, NAMES, Example, resized
 from operators.saliency.marks import with_marks
 from operators.saliency.movement import in_motion, roughened
@@ -29,6 +29,7 @@ BALL_LABEL = NAMES.index(BALL)
 PERSON_PX = (8.0, 60.0)  # height of people after shrinking, from a lean context to a ROI
 MOST_ENLARGED = 1.6
 ROI_SCALE = (0.6, 2.0)  # pixels of what shows a ROI over those of full resolution
+ROI_BALL_PX = 22.0  # diameter of the largest ball there
 USUAL_SHARE = 0.45  # of the crops that have the scale of the context, or of a tile
 CONTEXT_SHARE = 0.7  # of the pictures for a larger input: what a context shows, enlarged
 LEAST_PLAYERS, LEAST_APART = 6, 30.0  # to tell two teams apart: people, levels of colour
@@ -67,7 +68,7 @@ def augmented(
     example = paste_balls(example, bank, rng, near=roi)
     if rng.random() < 0.15:
         example = replace(example, picture=clutter(example, rng))
-    example = paste(example, rng)
+    example = paste(example, rng, ROI_BALL_PX if roi else MOST_BALL_PX)
     picture = recolour(example.picture, rng)
     if rng.random() < 0.15:
         picture = coarser(picture, rng.uniform(0.55, 0.9))
@@ -95,11 +96,11 @@ def scale_of(
 
 def crop(
     still: Example, rng: np.random.Generator, size_px: tuple[int, int] = CONTEXT_PX,
-    scale: float = 0.0,
+    scale: float | None = None,
 ) -> Example:  # fmt: skip
-    """A random part of the still at this or a random scale, mostly around an object."""
+    """A random part of the still, mostly around an object; at a random scale unless it is given."""
     height, width = still.picture.shape[:2]
-    scale = scale or scale_of(still, rng, size_px)
+    scale = scale_of(still, rng, size_px) if scale is None else scale
     wide, tall = (min(round(side / scale), most) for side, most in zip(
         size_px, (width, height), strict=True))  # fmt: skip
     left, top = rng.integers(0, width - wide + 1), rng.integers(0, height - tall + 1)

@@ -8,10 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.marks import FINE, Picture, blend
+from operators.saliency.augment import FINE, blend
+from operators.saliency.marks import Picture
 
 SKIN_SHARE = 0.25  # of the hands: a throw-in, or a glove in the colour of skin
 SLEEVE_SHARE = 0.6  # of the hands whose arm is seen, too
+BOTH_SHARE = 0.6  # of the balls held with two hands
+PLAIN_SHARE = 0.35  # of the gloves: black or white
 
 
 def hands_over(
@@ -27,7 +30,7 @@ def hands_over(
     middle = np.array([place[0] - left, place[1] - top]) * FINE
     first = rng.uniform(0, 2 * np.pi)
     angles = [first]
-    if rng.random() < 0.6:  # the other hand: mostly on the other side
+    if rng.random() < BOTH_SHARE:  # the other hand: mostly on the other side
         angles.append(first + np.pi + rng.normal() * 0.7)
     colour = _colour(rng)
     drawn = picture.copy()
@@ -36,9 +39,9 @@ def hands_over(
         arm = np.zeros_like(cover)
         _hand(cover, arm, middle, angle, diameter_px * FINE, rng)
         if rng.random() < SLEEVE_SHARE:
-            blend(drawn, left, top, arm, rng.uniform(0, 255, 3))
+            blend(drawn, left, top, arm, arm, rng.uniform(0, 255, 3))
         shade = colour * rng.uniform(0.75, 1.15)
-        blend(drawn, left, top, cover, shade)
+        blend(drawn, left, top, cover, cover, shade)
     return drawn
 
 
@@ -46,7 +49,7 @@ def _colour(rng: np.random.Generator) -> NDArray[np.float64]:
     """Of a glove: one bright colour, white or black; or of skin."""
     if rng.random() < SKIN_SHARE:
         return rng.uniform([120, 70, 50], [235, 185, 160])
-    if rng.random() < 0.35:
+    if rng.random() < PLAIN_SHARE:
         return np.full(3, rng.uniform(20, 60) if rng.random() < 0.5 else rng.uniform(180, 250))
     hue = np.array([[rng.integers([0, 140, 170], [180, 256, 256])]], np.uint8)
     return np.asarray(cv2.cvtColor(hue, cv2.COLOR_HSV2RGB)[0, 0], np.float64)

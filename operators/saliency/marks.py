@@ -1,17 +1,16 @@
 """Draw what is taken for a ball from near and is none: an example -> its picture with marks.
 
-Shirts have numbers and badges, the grass has scraps of paper: round and white, but smaller or
-larger than a ball beside people of that height.
+Shirts have numbers and badges, the grass has scraps of paper. Badges and scraps are smaller than a
+ball beside people of that height; a number may be as large, but is no disc.
 """
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.example import BALL, NAMES, Example
+from operators.saliency.augment import BALL_LABEL, FINE, blend
+from operators.saliency.example import Example
 
-BALL_LABEL = NAMES.index(BALL)
-FINE = 4  # sub-pixels a side of what is drawn
 MARKED_SHARE = 0.5  # of the people whose shirt has a mark
 BADGE_SHARE = 0.5  # of the marks; others are numbers
 BADGE, NUMBER, SCRAP = (0.02, 0.07), (0.09, 0.2), (0.015, 0.05)  # sizes over a person's height
@@ -55,7 +54,7 @@ def _spot(picture: Picture, x: float, y: float, size_px: float, rng: np.random.G
         cv2.ellipse(cover, box, 1.0, -1)
     else:
         cv2.fillPoly(cover, [cv2.boxPoints(box).astype(np.int32)], 1.0)
-    blend(picture, int(x) - reach, int(y) - reach, cover, _ink(rng))
+    blend(picture, int(x) - reach, int(y) - reach, cover, cover, _ink(rng))
 
 
 def _number(picture: Picture, x: float, y: float, high_px: float, rng: np.random.Generator) -> None:
@@ -70,26 +69,10 @@ def _number(picture: Picture, x: float, y: float, high_px: float, rng: np.random
     place = middle - wide // 2, middle + high // 2
     cv2.putText(cover, text, place, font, size, 255, thick, cv2.LINE_AA)
     light = np.asarray(cover / 255, np.float32)
-    blend(picture, int(x) - reach, int(y) - reach, light, _ink(rng))
+    blend(picture, int(x) - reach, int(y) - reach, light, light, _ink(rng))
 
 
 def _ink(rng: np.random.Generator) -> NDArray[np.float64]:
     if rng.random() < 0.6:
         return rng.uniform(170, 255) * (1 + rng.normal(size=3) * 0.05)
     return rng.uniform(0, 255, 3)
-
-
-def blend(
-    picture: Picture, left: int, top: int, cover: NDArray[np.float32], colour: NDArray[np.float64]
-) -> None:
-    """Shrink a fine drawing by area and lay it over the picture, cut at its borders."""
-    side = cover.shape[0] // FINE
-    alpha = cv2.resize(cover, (side, side), interpolation=cv2.INTER_AREA)
-    alpha = np.asarray(cv2.GaussianBlur(alpha, (0, 0), 0.6), np.float32)
-    x0, y0 = max(left, 0), max(top, 0)
-    x1, y1 = min(left + side, picture.shape[1]), min(top + side, picture.shape[0])
-    if x1 <= x0 or y1 <= y0:
-        return
-    share = alpha[y0 - top : y1 - top, x0 - left : x1 - left, None]
-    under = picture[y0:y1, x0:x1].astype(np.float32)
-    picture[y0:y1, x0:x1] = np.clip(under + share * (colour - under), 0, 255).astype(np.uint8)

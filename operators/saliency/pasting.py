@@ -28,13 +28,14 @@ Array = NDArray[np.float32]
 REFEREE_LABEL = NAMES.index("referee")
 LEAST_DIFFERENCE = 26.0  # levels of the most different channel
 PERSON_COVER, BALL_COVER = (0.18, 0.8), (0.35, 0.9)  # share of the box that stands out
-MOST_GAIN = 1.3  # of a copy: a more enlarged one is blurred
+MOST_GAIN, MOST_GAIN_NEAR = 1.3, 2.6  # of a copy: a more enlarged one is blurred
 MOST_HIDDEN = 0.5  # share of an object that a copy may cover
 MOST_IN_CROWD = 0.75  # the same where people stand before one another, as at a free kick
 HARDLY_SEEN = 0.85  # share of a person's box behind other boxes from which it need not be found
 HELD_SHARE = 0.15  # of the balls pasted: at somebody's hands, partly behind them
-HELD_NEAR, GLOVED_SHARE = 0.4, 0.75  # the same seen from near; of those behind drawn hands
-DRAWN_SHARE = 0.6  # of those: drawn balls, since copies of far ones are blurred
+# of those seen from near: drawn ones in hands, since copies of far ones are blurred; of the copies
+# those that are held, and of these those in drawn hands
+DRAWN_SHARE, HELD_NEAR, GLOVED_SHARE = 0.18, 0.27, 0.55
 EMPTY_SHARE = 0.25  # of the pictures seen from near: hands with nothing in them
 
 
@@ -181,7 +182,8 @@ def paste_balls(
 ) -> Example:
     """Add up to two real balls of the size that people's height tells.
 
-    Of what is seen from `near` one is always tried, many are in hands, and some hands are empty.
+    Of what is seen from `near` one is always tried, many are in hands, some of these are drawn, and
+    some hands are empty.
     """
     people = example.boxes[example.labels != BALL_LABEL]
     if not len(people):
@@ -192,6 +194,9 @@ def paste_balls(
         size = tall * rng.uniform(*BALL_TO_PERSON)
         example = replace(example, picture=hands_over(example.picture, empty, size, rng))
     for _ in range(int(rng.integers(1, 3)) if near or rng.random() < 0.5 else 0):
+        if near and rng.random() < DRAWN_SHARE:
+            example = _drawn_in_hands(example, people[rng.integers(len(people))], rng)
+            continue
         taken = _chosen(bank, rng, _balls)
         if taken is None:
             continue
@@ -199,7 +204,7 @@ def paste_balls(
         box = still.boxes[row]
         diameter = max(tall * rng.uniform(*BALL_TO_PERSON), 1.8)
         gain = diameter / max(float((box[2:] - box[:2]).max()), 1.0)
-        piece = cutout(still, row, gain, BALL_COVER, 2 * MOST_GAIN if near else MOST_GAIN)
+        piece = cutout(still, row, gain, BALL_COVER, MOST_GAIN_NEAR if near else MOST_GAIN)
         if piece is None:
             continue
         smear, shift = ball_movement(diameter, rng)
@@ -208,35 +213,30 @@ def paste_balls(
         gloved = near and held and rng.random() < GLOVED_SHARE
         if held:
             x, y = at_hands(people[rng.integers(len(people))], rng)
-            shift = person_movement(tall, rng)
             piece = piece if gloved else half_covered(piece, rng)
+            shift = person_movement(tall, rng)
         elif smear.any():
             piece = smeared(piece, smear)
-        if gloved and rng.random() < DRAWN_SHARE:
-            laid = _drawn(example, (x, y), diameter, rng)
-        else:
-            high, wide = piece.alpha.shape
-            left, top = int(x - wide / 2), int(y - high / 2)
-            laid = _laid(example, piece, left, top, BALL_LABEL, rng, shift)
+        high, wide = piece.alpha.shape
+        left, top = int(x - wide / 2), int(y - high / 2)
+        laid = _laid(example, piece, left, top, BALL_LABEL, rng, shift)
         if gloved and laid is not example:
             laid = replace(laid, picture=hands_over(laid.picture, (x, y), diameter, rng))
         example = laid
     return example
 
 
-def _drawn(
-    example: Example, place: tuple[float, float], diameter: float, rng: np.random.Generator
-) -> Example:
-    """The example with a drawn ball, which is as sharp as the picture, and moved with it."""
+def _drawn_in_hands(example: Example, person: Array, rng: np.random.Generator) -> Example:
+    """The example with a drawn ball in somebody's hands, as sharp as the picture."""
+    x, y = at_hands(person, rng)
+    height, width = example.picture.shape[:2]
+    if not (0 < x < width and 0 < y < height):
+        return example
+    diameter = float(person[3] - person[1]) * rng.uniform(*BALL_TO_PERSON)
     picture = example.picture.copy()
-    box = draw_ball(picture, place, diameter, np.zeros(2, np.float32), rng)
-    return replace(
-        example,
-        picture=picture,
-        boxes=np.concatenate([example.boxes, np.array([box], np.float32)]),
-        labels=np.append(example.labels, BALL_LABEL),
-        ignored=np.append(example.ignored, False),
-    )
+    box = draw_ball(picture, (x, y), diameter, np.zeros(2, np.float32), rng)
+    picture = hands_over(picture, (x, y), diameter, rng)
+    return _with_object(example, picture, box, BALL_LABEL)
 
 
 def at_hands(person: Array, rng: np.random.Generator) -> tuple[float, float]:
@@ -349,12 +349,19 @@ def _laid(
     if not len(solid):
         return example
     (y0, x0), (y1, x1) = solid.min(0), solid.max(0) + 1
-    tight = np.array([[left + x0, top + y0, left + x1, top + y1]], np.float32)
+    tight = left + x0, top + y0, left + x1, top + y1
+    difference = with_motion(example.difference, example.picture, picture, shift_px)
+    return replace(_with_object(example, picture, tight, label), difference=difference)
+
+
+def _with_object(
+    example: Example, picture: NDArray[np.uint8], box: tuple[float, float, float, float], label: int
+) -> Example:
+    """The example with another picture, in which one more object is."""
     return replace(
         example,
         picture=picture,
-        boxes=np.concatenate([example.boxes, tight]),
+        boxes=np.concatenate([example.boxes, np.array([box], np.float32)]),
         labels=np.append(example.labels, label),
         ignored=np.append(example.ignored, False),
-        difference=with_motion(example.difference, example.picture, picture, shift_px),
     )

@@ -26,6 +26,7 @@ from operators.saliency.stills import stills
 from operators.training.command_line import count, in_a_sentence
 from operators.training.progress import each_of
 from operators.training.splits import HELD_OUT
+from pipeline.errors import SettingsError
 from pipeline.extras import LateModule, need
 from pipeline.inference import Network
 
@@ -119,7 +120,11 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args(words)
     need("onnx", "quantise")
-    described(given.weights, Network(given.weights, threads=1).metadata)  # refused in a sentence
+    metadata = Network(given.weights, threads=1).metadata
+    if described(given.weights, metadata).difference and given.roi:  # refused in a sentence
+        raise SettingsError(
+            f"{given.weights}: reads what changed, which a ROI does not show (--roi)"
+        )
     seen = each_of(training_pictures(given.stills, given.pictures, roi=given.roi), "calibrate")
     quantise(given.weights, iter(seen), given.out)
     print(json.dumps({"bytes": given.out.stat().st_size}))

@@ -8,7 +8,7 @@ from operators.training.ranges import above_zero, at_least, known_device
 from operators.training.splits import HELD_OUT
 from pipeline.errors import SettingsError
 
-LEAST_PX = 256
+LEAST_PX = 256  # in a smaller input a ball of a ROI is hardly larger than in a context
 MOST_PX = 2048  # a batch of larger pictures would not fit into memory
 
 
@@ -57,6 +57,10 @@ class TrainSettings:
             if not 0 <= (share := getattr(self, name)) <= 1:
                 raise SettingsError(f"{name}: must be within 0..1, got {share}")
         known_device(self.device)
+        if self.roi_share and not self.stills:
+            raise SettingsError("roi_share: expected stills as well, got none")
+        if self.roi_share and self.difference:
+            raise SettingsError("roi_share: expected no difference: a ROI has no frame before it")
         if self.moving_only and not (self.difference and self.init):
             lacks = "weights to begin with (init)" if self.difference else "difference"
             raise SettingsError(f"moving_only: expected {lacks} as well, got none")

@@ -14,7 +14,7 @@ folder of the run.
 import contextlib
 import fcntl
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -98,8 +98,8 @@ class PoolWriter:
         self._lent: set[int] = set()
         self._recent = list(range(slots))  # the last written slot comes first
         self._ahead: Lease | None = None
-        self._outgrown: dict[str, PoolFile] = {}  # by name, with the locks they hold
-        self._following: dict[str, int] = {}  # messages after which an outgrown file is removed
+        # by name, with the locks they hold, and after how many more messages they are removed
+        self._outgrown: dict[str, tuple[PoolFile, int]] = {}
 
     def lease(self, nbytes: int) -> Lease:
         """Lease a slot of at least `nbytes`; raises `PoolExhausted` when none is free now."""
@@ -134,32 +134,45 @@ class PoolWriter:
         raise PoolExhausted(f"{file.name}: all {self._slots} slots are leased")
 
     def _reuse_or_create(self, nbytes: int) -> PoolFile:
-        """Return the predecessor's file, so that readers keep their mapping, or a new one."""
-        fitting = None
-        for file in pools_of(self._folder, self._stem):
-            if file.name in self._outgrown:
-                continue
-            if fitting is None and file.slots == self._slots and file.slot_bytes >= nbytes:
-                fitting = file
-            else:
+        """Return the predecessor's file, so that readers keep their mapping, or a new one.
+
+        Of several the largest is the current one. Raises `RunError` without room for a new one.
+        """
+        files = [f for f in pools_of(self._folder, self._stem) if f.name not in self._outgrown]
+        fitting = [f for f in files if f.slots == self._slots and f.slot_bytes >= nbytes]
+        current = max(fitting, key=lambda file: file.slot_bytes, default=None)
+        for file in files:
+            if file is not current:
                 self._outgrow(file)
-        return fitting or create(self._folder, self._stem, self._slots, nbytes)
+        if current is not None:
+            return current
+        try:
+            return create(self._folder, self._stem, self._slots, nbytes)
+        except RunError:  # no room: what readers may still open is less than what they would lose
+            if not self._outgrown:
+                raise
+            self._remove_outgrown(list(self._outgrown))
+            return create(self._folder, self._stem, self._slots, nbytes)
 
     def _outgrow(self, file: PoolFile) -> None:
         """Keep a file until every reader of the messages in it had its chance, then remove it."""
-        self._outgrown[file.name], self._following[file.name] = file, file.slots
+        self._outgrown[file.name] = file, file.slots
         if file is self._file:
             self._file, self._ahead = None, None
             self._held.clear()
             self._lent.clear()
 
-    def _remove_outgrown(self) -> None:
-        """Count one more message; remove the files that no reader needs any more."""
-        for name in list(self._outgrown):
-            self._following[name] -= 1
-            if self._following[name] < 0:
-                del self._outgrown[name], self._following[name]
-                self._folder.remove(name)
+    def _count_down(self) -> None:
+        """Remove the outgrown files that no reader needs any more, one message later."""
+        for name, (file, left) in list(self._outgrown.items()):
+            self._outgrown[name] = file, left - 1
+            if not left:
+                self._remove_outgrown([name])
+
+    def _remove_outgrown(self, names: Sequence[str]) -> None:
+        for name in names:
+            del self._outgrown[name]
+            self._folder.remove(name)
 
     def _candidates(self) -> Iterator[int]:
         spare = []
@@ -177,15 +190,15 @@ class PoolWriter:
     def publish(self, lease: Lease, ordinal: int) -> None:
         """Open the slot for readers; must be called before the descriptor is sent."""
         lease.pool.lock(fcntl.F_RDLCK, lease.slot)
-        if self._outgrown:
-            self._remove_outgrown()
         if lease.pool is self._file:
             self._lent.discard(lease.slot)
             self._held[lease.slot] = ordinal
             self._recent.remove(lease.slot)
             self._recent.insert(0, lease.slot)
-        else:  # lent ahead, before its file was outgrown
+        else:  # lent before its file was outgrown: readers have as long for this message, too
             self._outgrow(lease.pool)
+        if self._outgrown:
+            self._count_down()
 
     def let_go(self) -> None:
         """While another process writes: release every slot that no reader needs."""
@@ -205,9 +218,13 @@ class PoolWriter:
         self._recent = list(range(self._slots))
 
     def refresh(self) -> None:
-        """Open the current file, which another process may have replaced by a larger one."""
-        if self._file is not None and not self._folder.has(self._file.name):
-            self._file = None
+        """Leave a file that another process has replaced by a larger one meanwhile."""
+        file = self._file
+        if file is not None and (
+            not self._folder.has(file.name)
+            or any(f.slot_bytes > file.slot_bytes for f in pools_of(self._folder, self._stem))
+        ):
+            self._outgrow(file)
 
     def abandon(self, lease: Lease) -> None:
         """Release a slot that will not be sent."""

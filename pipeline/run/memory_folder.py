@@ -64,12 +64,12 @@ class MemoryFolder(PrivateFolder):
         self.remove_itself()
 
     def pool_bytes(self) -> dict[str, int]:
-        """Return the sizes of the frame pools in bytes, by `node.output`."""
+        """Return the sizes of the frame pools in bytes, by `node.output`, without outgrown ones."""
         found: dict[str, int] = {}
         for name in self.names():
             pool, seen = _POOL.fullmatch(name), self._seen(name)
             if pool and seen:
-                found[pool[1]] = found.get(pool[1], 0) + seen.st_size
+                found[pool[1]] = max(found.get(pool[1], 0), seen.st_size)
         return found
 
     def size_bytes(self) -> int:

@@ -138,5 +138,7 @@ def test_the_graph_runs_on_real_footage_in_real_time(tmp_path: Path, footage: Fo
     assert report["loop"]["commands"] > 20
     for edge in report["edges"]:
         if edge["keep"] == "every":
-            # a busy machine finds no objects in some frame; then nothing matches its picture
-            assert not edge["dropped"].keys() - {"unmatched"}, edge
+            # on a busy machine `saliency` passes over a frame, whose picture `kits` then has alone
+            unmatched = edge["dropped"].pop("unmatched", 0)
+            assert edge["dropped"] == {}, edge
+            assert unmatched <= 10, edge

@@ -147,7 +147,7 @@ def test_pictures_for_a_larger_input_show_enlarged_contexts_and_larger_ones(matc
     assert all((example.boxes[:, 2:] <= np.array(size_px) + 1e-3).all() for example in found)
 
 
-def test_a_roi_shows_people_near_and_others_stay_as_they_were(match: Path) -> None:
+def test_a_roi_shows_people_near(match: Path) -> None:
     size_px = sides_of(384)[0]
     far, near = (Real([stills(match)], seed=1, roi_share=share) for share in (0.0, 1.0))
 
@@ -157,8 +157,33 @@ def test_a_roi_shows_people_near_and_others_stay_as_they_were(match: Path) -> No
         return float(np.median(whole[:, 3] - whole[:, 1]))
 
     assert tall_px(near) > 1.5 * tall_px(far)
-    usual = Real([stills(match)], seed=1)
-    assert np.array_equal(far.sized(3, size_px).picture, usual.sized(3, size_px).picture)
+
+
+@pytest.mark.parametrize("drawn", ["crops.with_marks", "pasting.hands_over"])
+def test_only_a_roi_has_marks_and_hands(
+    match: Path, monkeypatch: pytest.MonkeyPatch, drawn: str
+) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError(drawn)
+
+    monkeypatch.setattr(f"operators.saliency.{drawn}", refuse)
+    far, near = (Real([stills(match)], seed=1, roi_share=share) for share in (0.0, 1.0))
+
+    list(map(far.__getitem__, range(40)))
+    with pytest.raises(AssertionError, match=drawn):
+        list(map(near.__getitem__, range(40)))
+
+
+@pytest.mark.parametrize(
+    ("other", "said"), [({}, "expected stills"), ({"difference": True}, "expected no difference")]
+)
+def test_a_roi_is_not_trained_without_stills_or_with_a_difference(
+    match: Path, other: dict[str, bool], said: str
+) -> None:
+    real = (match,) if other else ()
+
+    with pytest.raises(SettingsError, match=f"^roi_share: {said}"):
+        TrainSettings(data=(match,), out=match, stills=real, roi_share=0.5, **other)
 
 
 def test_two_widths_take_turns_batch_by_batch(match: Path) -> None:

@@ -1,4 +1,4 @@
-"""Marks lie on shirts and beside feet, and are too small or too large for a ball."""
+"""Marks lie on shirts and beside feet; what is round is too small for a ball."""
 
 from dataclasses import replace
 
@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from operators.saliency.marks import LEAST_TALL_PX, with_marks
+from operators.saliency.augment import BALL_TO_PERSON
+from operators.saliency.marks import BADGE, LEAST_TALL_PX, SCRAP, with_marks
 from tests.operators.saliency.lawn import still
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -27,6 +28,10 @@ def test_marks_leave_sky_legs_and_the_example_alone(seed: int, tall_px: float) -
     if len(changed):
         assert changed[0] > people[:, 1].min() - 2
         assert changed[-1] < people[:, 3].max() + 0.6 * tall + 2
+
+
+def test_what_is_round_is_smaller_than_a_ball() -> None:
+    assert max(BADGE[1], SCRAP[1]) < BALL_TO_PERSON[0]
 
 
 def test_shirts_get_numbers_and_badges_in_every_second_case() -> None:

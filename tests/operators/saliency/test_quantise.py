@@ -60,6 +60,17 @@ def test_what_reads_a_roi_is_calibrated_with_parts_at_full_resolution(tmp_path: 
     )
 
 
+def test_a_network_that_reads_the_difference_is_not_calibrated_with_a_roi(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = exported_detector(tmp_path, difference=True)
+
+    with pytest.raises(SystemExit):
+        main(["--weights", str(path), "--stills", str(tmp_path), "--roi", "--out", str(path)])
+
+    assert "which a ROI does not show" in capsys.readouterr().err
+
+
 def test_what_is_decoded_stays_in_single_precision() -> None:
     nodes = quantised_nodes(SHIPPED)
 
