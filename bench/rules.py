@@ -6,11 +6,12 @@ run one rule is replaced by what would be there without it, or its setting by th
 it do nothing. Prints the share of the target inside the ROI and the tracker's IoU, over all frames
 in which the target is visible (of a class any object may be the one that is followed), and the
 difference to the run with all rules, paired by the target: what loses nothing can go. The policies
-with all rules stand beside each other, too.
+with all rules stand beside each other, too, and tell how often the tracker is on the target where
+the ROI shows it.
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,6 +44,8 @@ POLICIES = {  # as `planned` takes them
     "of the graph": "",
 }  # fmt: skip
 FIGURES = ("share in the ROI", "IoU")
+ON_IT = "tracker on it where the ROI shows it"
+SHOWN, ON = 0.5, 0.2  # share of the target in the ROI, IoU
 NOWHERE = np.zeros((0, 4), np.float32)
 
 
@@ -173,7 +176,18 @@ def beside(found: Mapping[tuple[str, str, str], Mapping[str, Watch]]) -> Iterato
             row[figure] = round(mean(own).iou, 3)
             above = difference(own, blocks(whole[first, kind], figure))
             row[f"{figure}: above {first}"] = "" if policy == first else worded(*above)
+        row[ON_IT] = on_it(clips.values())
         yield row | {"targets": len(clips), "runs": sum(w.runs for w in clips.values())}
+
+
+def on_it(clips: Iterable[Watch]) -> float | str:
+    """Return the share of frames with the tracker on the target of those in which the ROI shows it.
+
+    Empty where it never does.
+    """
+    pairs = [pair for w in clips for pair in zip(*w.values.values(), strict=True)]
+    overlaps = [overlap for shown, overlap in pairs if shown >= SHOWN]
+    return round(float((np.array(overlaps) > ON).mean()), 3) if overlaps else ""
 
 
 def blocks(clips: Mapping[str, Watch], figure: str) -> dict[str, Block]:

@@ -5,7 +5,7 @@ score of .1; full resolution around each is read by encoder and detector, as in
 `graphs/tracking.yaml` at the first picture of a stream: a still has no frame before it. Logistic
 regressions over the development match give the gains of `operators.verify` and of the policy
 (operators/policy/candidates.py); for the matches left out the table tells how often a ball is rated
-above another candidate, by each score alone and together.
+above another candidate, by each score alone and together, and by the gains in use.
 """
 
 import json
@@ -25,13 +25,14 @@ from bench.logistic import regressed
 from bench.machine import facts
 from bench.options import JSON, ROOT, Bench
 from bench.prototype import table
+from operators.policy.candidates import SEEN
 from operators.roi_features.roi_features import Encoder, RoiEncoderSettings, verdicts
 from operators.saliency import SaliencySettings
 from operators.saliency.detector import Detector
 from operators.saliency.example import NAMES
 from operators.saliency.stills import stills
 from operators.training.splits import DEVELOPMENT, TEST
-from operators.verify import LEAST, VerifySettings
+from operators.verify import LEAST, OF_ENCODER, OF_SCORE, VerifySettings
 from pipeline import Frame
 from pipeline.boxes import centres
 from pipeline.errors import DriverError
@@ -52,6 +53,7 @@ RATED = {
     "score in the ROI and encoder": (1, 2), "all three": (0, 1, 2),
 }  # fmt: skip
 Array = NDArray[np.float64]
+IN_USE = np.array([*SEEN, OF_SCORE, OF_ENCODER])
 
 
 class Looks:
@@ -138,9 +140,10 @@ def area(values: Array, true: NDArray[np.bool_]) -> float:
 def main(football: Path, path: Path | None) -> None:
     """Fit what verifies a ball in the ROI."""
     known, rest = collected(football, DEVELOPMENT), collected(football, TEST)
+    weighed = [(name, columns, fitted(known, columns)) for name, columns in RATED.items()]
+    weighed.append(("all three, gains in use", RATED["all three"], IN_USE))
     rows = []
-    for name, columns in RATED.items():
-        weights = fitted(known, columns)
+    for name, columns, weights in weighed:
         rows.append(
             {
                 "rated by": name, "bias": round(float(weights[0]), 2),

@@ -15,11 +15,11 @@ from operators.saliency.augment import MOST_BALL_PX, clutter, cut, paste
 from operators.saliency.example import ANYONE, BALL, CONTEXT_PX, NAMES, Example, resized
 from operators.saliency.marks import with_marks
 from operators.saliency.movement import in_motion, roughened
+from operators.saliency.pasted_balls import paste_balls
 from operators.saliency.pasting import (
     Bank,
     is_grass,
     paste_at_boards,
-    paste_balls,
     paste_crowd,
     paste_people,
 )

@@ -1,7 +1,7 @@
-"""Add people and balls cut out of other stills to a training picture: Example -> Example.
+"""Add people cut out of other stills to a training picture: Example -> Example.
 
-Referees are one person in nine and a ball is in each picture once: copies of them let the network
-see both before many backgrounds. What is copied is cut out by its difference in colour from the
+Referees are one person in nine: copies of them let the network see them before many backgrounds.
+What is copied, a ball of `pasted_balls.py`, too, is cut out by its difference in colour from the
 grass around it; what does not stand out clearly is not copied.
 """
 
@@ -13,30 +13,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.augment import (
-    BALL_LABEL,
-    BALL_TO_PERSON,
-    at_rest,
-    draw_ball,
-    somewhere,
-)
+from operators.saliency.augment import BALL_LABEL
 from operators.saliency.example import NAMES, Example
-from operators.saliency.hands import hands_over
-from operators.saliency.movement import ball_movement, person_movement, with_motion
+from operators.saliency.movement import person_movement, with_motion
 
 Array = NDArray[np.float32]
 REFEREE_LABEL = NAMES.index("referee")
 LEAST_DIFFERENCE = 26.0  # levels of the most different channel
-PERSON_COVER, BALL_COVER = (0.18, 0.8), (0.35, 0.9)  # share of the box that stands out
-MOST_GAIN, MOST_GAIN_NEAR = 1.3, 2.6  # of a copy: a more enlarged one is blurred
+PERSON_COVER = (0.18, 0.8)  # share of the box that stands out
+MOST_GAIN = 1.3  # of a copy: a more enlarged one is blurred
 MOST_HIDDEN = 0.5  # share of an object that a copy may cover
 MOST_IN_CROWD = 0.75  # the same where people stand before one another, as at a free kick
 HARDLY_SEEN = 0.85  # share of a person's box behind other boxes from which it need not be found
-HELD_SHARE = 0.15  # of the balls pasted: at somebody's hands, partly behind them
-# of those seen from near: drawn ones in hands, since copies of far ones are blurred; of the copies
-# those that are held, and of these those in drawn hands
-DRAWN_SHARE, HELD_NEAR, GLOVED_SHARE = 0.18, 0.27, 0.55
-EMPTY_SHARE = 0.25  # of the pictures seen from near: hands with nothing in them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +51,7 @@ def paste_people(example: Example, bank: Bank, rng: np.random.Generator) -> Exam
             break
         near = example.boxes[rng.choice(people)]
         tall, feet = float(near[3] - near[1]), float(near[3])
-        taken = _chosen(bank, rng, _referees if rng.random() < 0.5 else _people)
+        taken = chosen(bank, rng, _referees if rng.random() < 0.5 else _people)
         if taken is None:
             continue
         still, row = taken
@@ -77,7 +65,7 @@ def paste_people(example: Example, bank: Bank, rng: np.random.Generator) -> Exam
         y = feet + rng.normal() * 0.5 * tall - high
         shift = person_movement(tall, rng)
         label = int(still.labels[row])
-        example = _laid(example, piece, int(x - wide / 2), int(y), label, rng, shift)
+        example = laid_over(example, piece, int(x - wide / 2), int(y), label, rng, shift)
     return example
 
 
@@ -95,7 +83,7 @@ def paste_crowd(example: Example, bank: Bank, rng: np.random.Generator) -> Examp
     tall, wide_px = float(near[3] - near[1]), float(near[2] - near[0])
     feet = np.sort(near[3] + rng.normal(0, 0.12, int(rng.integers(2, 6))) * tall)
     for low in feet.tolist():  # who stands nearer covers those behind
-        taken = _chosen(bank, rng, _people)
+        taken = chosen(bank, rng, _people)
         if taken is None:
             continue
         still, row = taken
@@ -107,7 +95,7 @@ def paste_crowd(example: Example, bank: Bank, rng: np.random.Generator) -> Examp
         x = (near[0] + near[2]) / 2 + rng.uniform(-1.8, 1.8) * wide_px
         shift = person_movement(tall, rng)
         label = int(still.labels[row])
-        example = _laid(
+        example = laid_over(
             example, piece, int(x - wide / 2), int(low - high), label, rng, shift, MOST_IN_CROWD
         )
     return without_covered(example, known)
@@ -140,7 +128,7 @@ def paste_at_boards(example: Example, bank: Bank, rng: np.random.Generator) -> E
     far = boxes[boxes[:, 3].argmin()]
     grass = is_grass(cv2.cvtColor(example.picture, cv2.COLOR_RGB2HSV))
     for _ in range(int(rng.integers(1, 3)) if rng.random() < 0.5 else 0):
-        taken = _chosen(bank, rng, _referees if rng.random() < 0.7 else _people)
+        taken = chosen(bank, rng, _referees if rng.random() < 0.7 else _people)
         if taken is None:
             continue
         still, row = taken
@@ -155,7 +143,7 @@ def paste_at_boards(example: Example, bank: Bank, rng: np.random.Generator) -> E
         feet = edge + tall * rng.uniform(0.0, 0.4)
         label = int(still.labels[row])
         shift = person_movement(tall, rng)
-        example = _laid(example, piece, int(x - wide / 2), int(feet - high), label, rng, shift)
+        example = laid_over(example, piece, int(x - wide / 2), int(feet - high), label, rng, shift)
     return example
 
 
@@ -177,101 +165,6 @@ def end_of_grass(column: NDArray[np.bool_], tall_px: float) -> int:
     return int(rows[gaps[-1] + 1] if len(gaps) else rows[0])
 
 
-def paste_balls(
-    example: Example, bank: Bank, rng: np.random.Generator, *, near: bool = False
-) -> Example:
-    """Add up to two real balls of the size that people's height tells.
-
-    Of what is seen from `near` one is always tried, many are in hands, some of these are drawn, and
-    some hands are empty.
-    """
-    people = example.boxes[example.labels != BALL_LABEL]
-    if not len(people):
-        return example
-    tall = float(np.median(people[:, 3] - people[:, 1]))
-    if near and rng.random() < EMPTY_SHARE:
-        empty = at_hands(people[rng.integers(len(people))], rng)
-        size = tall * rng.uniform(*BALL_TO_PERSON)
-        example = replace(example, picture=hands_over(example.picture, empty, size, rng))
-    for _ in range(int(rng.integers(1, 3)) if near or rng.random() < 0.5 else 0):
-        if near and rng.random() < DRAWN_SHARE:
-            example = _drawn_in_hands(example, people[rng.integers(len(people))], rng)
-            continue
-        taken = _chosen(bank, rng, _balls)
-        if taken is None:
-            continue
-        still, row = taken
-        box = still.boxes[row]
-        diameter = max(tall * rng.uniform(*BALL_TO_PERSON), 1.8)
-        gain = diameter / max(float((box[2:] - box[:2]).max()), 1.0)
-        piece = cutout(still, row, gain, BALL_COVER, MOST_GAIN_NEAR if near else MOST_GAIN)
-        if piece is None:
-            continue
-        smear, shift = ball_movement(diameter, rng)
-        x, y = somewhere(example, rng) if shift.any() else at_rest(example, rng)
-        held = rng.random() < (HELD_NEAR if near else HELD_SHARE)
-        gloved = near and held and rng.random() < GLOVED_SHARE
-        if held:
-            x, y = at_hands(people[rng.integers(len(people))], rng)
-            piece = piece if gloved else half_covered(piece, rng)
-            shift = person_movement(tall, rng)
-        elif smear.any():
-            piece = smeared(piece, smear)
-        high, wide = piece.alpha.shape
-        left, top = int(x - wide / 2), int(y - high / 2)
-        laid = _laid(example, piece, left, top, BALL_LABEL, rng, shift)
-        if gloved and laid is not example:
-            laid = replace(laid, picture=hands_over(laid.picture, (x, y), diameter, rng))
-        example = laid
-    return example
-
-
-def _drawn_in_hands(example: Example, person: Array, rng: np.random.Generator) -> Example:
-    """The example with a drawn ball in somebody's hands, as sharp as the picture."""
-    x, y = at_hands(person, rng)
-    height, width = example.picture.shape[:2]
-    if not (0 < x < width and 0 < y < height):
-        return example
-    diameter = float(person[3] - person[1]) * rng.uniform(*BALL_TO_PERSON)
-    picture = example.picture.copy()
-    box = draw_ball(picture, (x, y), diameter, np.zeros(2, np.float32), rng)
-    picture = hands_over(picture, (x, y), diameter, rng)
-    return _with_object(example, picture, box, BALL_LABEL)
-
-
-def at_hands(person: Array, rng: np.random.Generator) -> tuple[float, float]:
-    """Where somebody (xyxy) holds a ball: before the body or beside it, between head and knees."""
-    left, top, right, bottom = (float(side) for side in person)
-    x = rng.uniform(left - 0.15 * (right - left), right + 0.15 * (right - left))
-    return x, top + (bottom - top) * rng.uniform(0.2, 0.7)
-
-
-def half_covered(piece: Cutout, rng: np.random.Generator) -> Cutout:
-    """The object with up to a half of it behind something that bounds it by a straight line."""
-    high, wide = piece.alpha.shape
-    y, x = np.mgrid[:high, :wide].astype(np.float32)
-    angle, reach = rng.uniform(0, 2 * np.pi), max(high, wide) / 2
-    side = (x - (wide - 1) / 2) * np.cos(angle) + (y - (high - 1) / 2) * np.sin(angle)
-    seen = np.clip(side + reach * rng.uniform(0.0, 0.7) + 0.5, 0, 1).astype(np.float32)
-    return Cutout(picture=piece.picture, alpha=piece.alpha * seen)
-
-
-def smeared(piece: Cutout, smear_px: Array) -> Cutout:
-    """The object as an exposure sees it that moves by `smear_px` (x, y) meanwhile."""
-    around = round(float(np.hypot(*smear_px)) / 2) + 1
-    side = 2 * around + 1
-    kernel = np.zeros((side, side), np.float32)
-    for part in np.linspace(-0.5, 0.5, 4 * side):
-        x, y = around + smear_px * part
-        kernel[round(float(y)), round(float(x))] += 1 / (4 * side)
-    alpha = np.pad(piece.alpha, around)
-    light = piece.picture.astype(np.float32) * piece.alpha[..., None]
-    light = np.pad(light, ((around, around), (around, around), (0, 0)))
-    covered = np.asarray(cv2.filter2D(alpha, -1, kernel), np.float32)
-    mixed = cv2.filter2D(light, -1, kernel) / np.maximum(covered, 1e-3)[..., None]
-    return Cutout(picture=np.clip(mixed, 0, 255).astype(np.uint8), alpha=covered)
-
-
 def _people(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray(labels != BALL_LABEL)
 
@@ -280,11 +173,7 @@ def _referees(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray(labels == REFEREE_LABEL)
 
 
-def _balls(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
-    return np.asarray(labels == BALL_LABEL)
-
-
-def _chosen(
+def chosen(
     bank: Bank, rng: np.random.Generator, fits: Callable[[NDArray[np.int64]], NDArray[np.bool_]]
 ) -> tuple[Example, int] | None:
     """A random still and an object in it; none where that still has nothing that fits."""
@@ -321,7 +210,7 @@ def cutout(
     )
 
 
-def _laid(
+def laid_over(
     example: Example, piece: Cutout, left: int, top: int, label: int, rng: np.random.Generator,
     shift_px: Array, most_hidden: float = MOST_HIDDEN,
 ) -> Example:  # fmt: skip
@@ -351,10 +240,10 @@ def _laid(
     (y0, x0), (y1, x1) = solid.min(0), solid.max(0) + 1
     tight = left + x0, top + y0, left + x1, top + y1
     difference = with_motion(example.difference, example.picture, picture, shift_px)
-    return replace(_with_object(example, picture, tight, label), difference=difference)
+    return replace(with_object(example, picture, tight, label), difference=difference)
 
 
-def _with_object(
+def with_object(
     example: Example, picture: NDArray[np.uint8], box: tuple[float, float, float, float], label: int
 ) -> Example:
     """The example with another picture, in which one more object is."""

@@ -222,7 +222,11 @@ class PoolWriter:
         file = self._file
         if file is not None and (
             not self._folder.has(file.name)
-            or any(f.slot_bytes > file.slot_bytes for f in pools_of(self._folder, self._stem))
+            or any(
+                other.slot_bytes > file.slot_bytes
+                for other in pools_of(self._folder, self._stem)
+                if other.name not in self._outgrown
+            )
         ):
             self._outgrow(file)
 

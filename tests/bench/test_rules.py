@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from bench.policy_rules import RULES, Rule, without
-from bench.rules import ALL, FIGURES, Watch, asked, beside, main, rows
+from bench.rules import ALL, FIGURES, Watch, asked, beside, main, on_it, rows
 from pipeline.errors import RunError
 from pipeline.messages import Frame, Percept, Truth
 from pipeline.testing import header
@@ -134,6 +134,16 @@ def test_a_policy_stands_beside_the_first_one_paired_by_the_target() -> None:
     ]
     above = f"{FIGURES[0]}: above learned"
     assert [row[above] for row in found] == ["", "+0.250"]
+
+
+def test_the_tracker_is_on_the_target_only_where_the_roi_shows_it() -> None:
+    shown = watched(box=(10, 10, 20, 20), window=(0, 0, 40, 40))
+    values = {FIGURES[0]: [1.0, 0.6, 0.4, 1.0], FIGURES[1]: [0.5, 0.1, 0.9, 0.3]}
+    shown.values = values
+
+    assert on_it([shown]) == 0.667  # the third frame hardly shows it
+    shown.values = {name: [] for name in FIGURES}
+    assert on_it([shown]) == ""
 
 
 def test_targets_that_no_clip_shows_are_refused() -> None:

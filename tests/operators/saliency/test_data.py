@@ -159,7 +159,7 @@ def test_a_roi_shows_people_near(match: Path) -> None:
     assert tall_px(near) > 1.5 * tall_px(far)
 
 
-@pytest.mark.parametrize("drawn", ["crops.with_marks", "pasting.hands_over"])
+@pytest.mark.parametrize("drawn", ["crops.with_marks", "pasted_balls.hands_over"])
 def test_only_a_roi_has_marks_and_hands(
     match: Path, monkeypatch: pytest.MonkeyPatch, drawn: str
 ) -> None:

@@ -249,6 +249,19 @@ def test_a_successor_goes_on_in_the_largest_file_whatever_is_outgrown(
     memory.empty()
 
 
+def test_a_writer_that_has_outgrown_a_larger_file_itself_goes_on_in_its_own(
+    memory: MemoryFolder,
+) -> None:
+    pool = writer(memory)
+    fill(pool, 1, 1, nbytes=100_000)
+    pool.resize(5)
+    own = fill(pool, 2, 2)
+
+    pool.refresh()
+
+    assert fill(pool, 3, 3).file == own.file
+
+
 def test_memory_lent_before_its_file_was_outgrown_is_found_by_readers(
     memory: MemoryFolder,
 ) -> None:
