@@ -121,6 +121,10 @@ PLACES = {
         section="Networks and scenes", order=12,
         title="People missed in the context, by how much of them another person covers",
     ),
+    "roi_balls": Place(
+        section="Networks and scenes", order=14,
+        title="The ball rated best of what a ROI shows, and above false finds of other ROIs",
+    ),
     "fuzz": Place(
         section="Several hosts and security", order=5,
         title="Generated input: graph files, orders, bytes",
