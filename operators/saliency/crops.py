@@ -47,7 +47,7 @@ def augmented(
     what a ROI does, and more balls, in hands and in flight.
     """
     if roi:
-        example = crop(still, rng, size_px, scale=float(np.exp(rng.uniform(*np.log(ROI_SCALE)))))
+        example = crop(still, rng, size_px, scale=roi_scale(rng))
     else:
         enlarged = size_px == CONTEXT_PX or rng.random() < CONTEXT_SHARE
         example = crop(still, rng, CONTEXT_PX if enlarged else size_px)
@@ -92,6 +92,11 @@ def scale_of(
     low = max(least, PERSON_PX[0] / tall)
     high = float(np.clip(PERSON_PX[1] / tall, low, MOST_ENLARGED))
     return float(np.exp(rng.uniform(np.log(low), np.log(max(low, high)))))
+
+
+def roi_scale(rng: np.random.Generator) -> float:
+    """Pixels of what shows a ROI over those of full resolution."""
+    return float(np.exp(rng.uniform(*np.log(ROI_SCALE))))
 
 
 def crop(

@@ -8,6 +8,7 @@ to a place of their own.
 
 import argparse
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,8 +19,9 @@ from drivers.datasets.sequence import span
 from drivers.datasets.soccernet import SoccerNetSequence
 from drivers.scenes.soccer import SoccerScene
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, FrameSource
+from operators.saliency.crops import crop, roi_scale
 from operators.saliency.difference import FrameDifference
-from operators.saliency.example import CONTEXT_PX, NAMES, Example
+from operators.saliency.example import CONTEXT_PX, NAMES, Example, resized
 from operators.training.arrays import outdated, write
 from operators.training.command_line import in_a_sentence
 from operators.training.identity import Identity, of_code
@@ -31,25 +33,35 @@ FULL_PX = (1920, 1080)
 RATE_HZ = 25.0
 
 
-def example(source: FrameSource, index: int) -> Example:
-    """One picture of a source at context size with its objects; raises `DriverError` untold."""
+def whole(source: FrameSource, index: int) -> Example:
+    """One picture of a source with its objects; raises `DriverError` if it does not know them."""
     truth = source.truth(index)
     if truth is None:
         raise DriverError(f"frame {index}: expected a source that knows the truth, got none")
-    picture = context(source, index)
-    scale = np.array([CONTEXT_PX[i % 2] / source.size_px[i % 2] for i in range(4)], np.float32)
     known = np.array([label in CLASS_OF_ROLE for label in truth.labels], np.bool_)
     labels = [NAMES.index(CLASS_OF_ROLE[label]) for label in truth.labels if label in CLASS_OF_ROLE]
-    difference = FrameDifference()
-    if index:
-        difference.of(context(source, index - 1))
     return Example(
-        picture=picture,
-        difference=difference.of(picture).astype(np.float32) if index else None,
-        boxes=truth.boxes[known] * scale,
+        picture=source.picture(index),
+        boxes=truth.boxes[known],
         labels=np.array(labels, np.int64),
         ignored=truth.visibility[known] < LEAST_VISIBLE,
     )
+
+
+def example(source: FrameSource, index: int) -> Example:
+    """One picture at context size with its objects and what changed since the frame before."""
+    shown = resized(whole(source, index), CONTEXT_PX)
+    if not index:
+        return shown
+    difference = FrameDifference()
+    difference.of(context(source, index - 1))
+    return replace(shown, difference=difference.of(shown.picture).astype(np.float32))
+
+
+def rois(source: FrameSource, index: int, count: int, rng: np.random.Generator) -> list[Example]:
+    """Parts of one picture as ROIs show them, mostly around an object; none knows what changed."""
+    picture = whole(source, index)
+    return [crop(picture, rng, CONTEXT_PX, scale=roi_scale(rng)) for _ in range(count)]
 
 
 def context(source: FrameSource, index: int) -> NDArray[np.uint8]:
@@ -84,36 +96,40 @@ def moments(seed: int, count: int, span: int) -> list[int]:
     return [int(part * span / count) for part in parts]
 
 
-def made_with(count: int, span: int) -> dict[str, str]:
+def made_with(count: int, span: int, rois: int = 0) -> dict[str, str]:
     """What decides the pictures of a scene beside its seed."""
     code = of_code(
         "drivers.scenes.soccer", "operators.saliency.render", "operators.saliency.difference"
     )
-    return code | {"moments": str(count), "span": str(span)}
+    made = code | {"moments": str(count), "span": str(span)}
+    return made | of_code("operators.saliency.crops") | {"rois": str(rois)} if rois else made
 
 
 def render(
     seeds: Iterable[int], count: int, span: int, folder: Path, workers: int = 2,
-    name: str = "draw scenes",
+    name: str = "draw scenes", rois: int = 0,
 ) -> None:  # fmt: skip
     """Render `count` moments of each seed's scene into `folder`; seeds already there are kept.
 
-    Those that are damaged, or were rendered with other settings or code, are rendered anew.
+    Each moment is a context and `rois` parts as a ROI shows them. Those that are damaged, or were
+    rendered with other settings or code, are rendered anew.
     """
-    made = made_with(count, span)
+    made = made_with(count, span, rois)
     folder.mkdir(parents=True, exist_ok=True)
     missing = outdated((folder / f"{seed}.npz" for seed in seeds), made, print)
     with pool_of(workers) as pool:
-        jobs = [pool.submit(_render_scene, path, count, span, made) for path in missing]
+        jobs = [pool.submit(_render_scene, path, count, span, made, rois) for path in missing]
         for job in tracked(jobs, name):
             job.result()
 
 
-def _render_scene(path: Path, count: int, span: int, made: Identity) -> None:
+def _render_scene(path: Path, count: int, span: int, made: Identity, rois_each: int) -> None:
     cv2.setNumThreads(1)
     seed = int(path.stem)
     scene = SoccerScene(size_px=FULL_PX, rate_hz=RATE_HZ, seed=seed)
-    examples = [example(scene, index) for index in moments(seed, count, span)]
+    rng, examples = np.random.default_rng([seed, rois_each]), list[Example]()
+    for index in moments(seed, count, span):
+        examples += [example(scene, index), *rois(scene, index, rois_each, rng)]
     scene.close()
     _write(examples, path, made)
 

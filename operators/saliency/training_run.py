@@ -58,7 +58,7 @@ class Run(checkpoint.Progress):
         )
         parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
         real = [file for folder in folders(settings) for file in folder.files]
-        pictures = made_with(settings.moments, settings.span) | {
+        pictures = made_with(settings.moments, settings.span, settings.rois) | {
             "data": contents(given(settings)), "stills": contents_of_stills(real),
         }  # fmt: skip
         super().__init__(settings.out, parts, of_settings(settings, "stills") | pictures)
@@ -142,7 +142,7 @@ def train(settings: TrainSettings) -> Run:
     seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
     render(
         seeds, settings.moments, settings.span, settings.data[0], settings.threads,
-        PHASES["draw scenes"],
+        PHASES["draw scenes"], settings.rois,
     )  # fmt: skip
     source = source_of(settings)
     run.begin(source)

@@ -26,6 +26,7 @@ class TrainSettings:
     scenes: int = 320
     moments: int = 12
     span: int = 900  # frames of each scene over which its moments are spread
+    rois: int = 0  # pictures of each moment, beside its context, that show what a ROI does
     steps: int = 4800
     batch: int = 16
     rate: float = 2e-3
@@ -51,7 +52,9 @@ class TrainSettings:
                 none = "0 or " if name == "also_px" else ""
                 said = f"{name}: must be {none}within {LEAST_PX}..{MOST_PX}, got {width}"
                 raise SettingsError(said)
-        at_least(0, self, "scenes", "warmup", "decay", "seed")  # no scenes: other data alone
+        at_least(
+            0, self, "scenes", "rois", "warmup", "decay", "seed"
+        )  # no scenes: other data alone
         above_zero(self, "rate", "minutes")
         for name in ("raw_share", "roi_share", "stills_share"):
             if not 0 <= (share := getattr(self, name)) <= 1:
@@ -59,8 +62,12 @@ class TrainSettings:
         known_device(self.device)
         if self.roi_share and not self.stills:
             raise SettingsError("roi_share: expected stills as well, got none")
-        if self.roi_share and self.difference:
-            raise SettingsError("roi_share: expected no difference: a ROI has no frame before it")
+        if self.rois and not self.scenes:
+            raise SettingsError("rois: expected scenes as well, got none")
+        for name in ("roi_share", "rois"):
+            if getattr(self, name) and self.difference:
+                said = "expected no difference: a ROI has no frame before it"
+                raise SettingsError(f"{name}: {said}")
         if self.moving_only and not (self.difference and self.init):
             lacks = "weights to begin with (init)" if self.difference else "difference"
             raise SettingsError(f"moving_only: expected {lacks} as well, got none")

@@ -2,6 +2,7 @@
 
 import pickle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -184,6 +185,16 @@ def test_a_roi_is_not_trained_without_stills_or_with_a_difference(
 
     with pytest.raises(SettingsError, match=f"^roi_share: {said}"):
         TrainSettings(data=(match,), out=match, stills=real, roi_share=0.5, **other)
+
+
+@pytest.mark.parametrize(
+    ("other", "said"), [({"scenes": 0}, "expected scenes"), ({"difference": True}, "expected no")]
+)
+def test_parts_of_scenes_as_a_roi_shows_them_need_scenes_and_have_no_difference(
+    match: Path, other: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(SettingsError, match=f"^rois: {said}"):
+        TrainSettings(data=(match,), out=match, rois=2, **other)
 
 
 def test_two_widths_take_turns_batch_by_batch(match: Path) -> None:

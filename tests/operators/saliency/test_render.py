@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from operators.saliency.example import CONTEXT_PX, NAMES
-from operators.saliency.render import convert
+from operators.saliency.render import convert, made_with, render
 from pipeline.errors import SettingsError
 from tests.drivers.sequences import SIZE_PX, write_sequence
 
@@ -36,3 +36,25 @@ def test_frames_that_are_not_there_are_refused(tmp_path: Path, frames: tuple[int
     with pytest.raises(SettingsError, match="frames: expected 1 to 3, got"):
         convert(folder, frames, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_moment_of_a_drawn_scene_is_a_context_and_parts_as_a_roi_shows_them(
+    tmp_path: Path,
+) -> None:
+    render([10_000], 2, 40, tmp_path, workers=1, rois=3)
+
+    pictures, truth = np.load(tmp_path / "10000.npy"), np.load(tmp_path / "10000.npz")
+    people = truth["labels"] == NAMES.index("player")
+    heights = (truth["boxes"][:, 3] - truth["boxes"][:, 1])[people]
+    of_context = np.repeat(truth["known"], np.diff(truth["first"]))[people]
+    assert pictures.shape == (2 * (1 + 3), CONTEXT_PX[1], CONTEXT_PX[0], 4)
+    assert truth["known"].tolist() == [True, False, False, False] * 2
+    # a quarter there, .6 to 2 of full resolution here
+    assert np.median(heights[~of_context]) > 2 * np.median(heights[of_context])
+    assert (truth["boxes"] >= 0).all()
+    assert (truth["boxes"] <= np.tile(CONTEXT_PX, 2)).all()
+
+
+def test_pictures_of_rois_make_another_set_and_none_changes_nothing() -> None:
+    assert made_with(2, 40) == made_with(2, 40, rois=0)
+    assert made_with(2, 40) != made_with(2, 40, rois=1) != made_with(2, 40, rois=2)
