@@ -10,6 +10,7 @@ from unittest.mock import patch
 import numpy as np
 
 from operators.policy.candidates import odds
+from operators.policy.flight import Flight
 from operators.policy.verdicts import EVEN
 from pipeline.errors import RunError
 
@@ -114,7 +115,7 @@ VERIFYING = {
     "a rival must be clearly better": Rule(parts=(("verifying:MARGIN", 0.0),)),
     "the target's odds change slowly": Rule(parts=(("verifying:OWN_GAIN", 1.0),)),
     "a lost target is waited for": Rule(parts=(("verifying:well_known", returns(False)),)),
-    "it is followed on its way": Rule(parts=(("verifying:escaped", returns(-1)),)),
+    "it is followed on its way": Rule(parts=(("verifying:next_flight", returns(Flight())),)),
     "a person nearby carries it": Rule(parts=(("pursuit:can_carry", nobody),)),
     "people are searched": Rule(parts=(("pursuit:busiest", returns(None)),)),
 }  # fmt: skip

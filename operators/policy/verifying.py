@@ -4,8 +4,7 @@ A ball of two pixels in the context is one of fifty candidates, behind boots, li
 resolution tells them apart, if it is asked: the ROI shows the likeliest candidates one window after
 another, each in `looks` frames, until one of them is verified (operators.verify); one of which the
 context is sure needs no looks. It is followed as in pursuit. A target that was followed for a
-while and is lost may have been kicked: what the context shows in every frame, on its way from where
-the target was, is followed.
+while and is lost may have been kicked: what flies away from where it was is followed (`flight`).
 Without such it is waited for and looked for among people, not among faint candidates again.
 
 That is for a target asked for by its class. One asked for by id or box needs no search: the network
@@ -21,7 +20,8 @@ from numpy.typing import NDArray
 
 from operators.policy.candidates import context_odds, faint_odds, probability
 from operators.policy.decision import PolicyState
-from operators.policy.gaze_plan import GazePlan, follow, future, of_class, row_of, stay
+from operators.policy.flight import Flight, next_flight
+from operators.policy.gaze_plan import PLACE, GazePlan, follow, future, of_class, row_of, stay
 from operators.policy.learned import LearnedPolicy, LearnedPolicySettings
 from operators.policy.pursuit import (
     MARGIN,
@@ -39,8 +39,6 @@ from pipeline.boxes import centres
 EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge nothing is judged
 OWN_GAIN = 0.2  # of the latest frame in the odds of the present target
 LATE = 6  # frames more than `looks` for which a candidate is waited for
-# a lost target on its way: the least score in the context, and how far from where it was last seen
-ESCAPED_SCORE, ESCAPED_PX, ESCAPED_STEP_PX = 0.3, 60.0, 30.0
 PLAIN = 3  # frames in which the context shows a candidate that needs no looks
 GIVEN_UP = 16  # latest candidates that could not be judged, which are passed over
 
@@ -78,6 +76,7 @@ class VerifyingState(PursuitState):
     """State between frames; immutable."""
 
     search: SearchState = field(default_factory=SearchState)
+    flight: Flight = field(default_factory=Flight)
     learned: PolicyState = field(default_factory=PolicyState)  # of a target asked for by id or box
 
 
@@ -159,7 +158,7 @@ def seek(
     chances, now = shares(odds), locked_on(tracks, before, odds, rules)
     search, row, shown, horizon = now.search, row_of(tracks, now.locked), -1, rules.horizon
     if row >= 0:
-        now = noted(tracks, row, now, now.spec)
+        now = replace(noted(tracks, row, now, now.spec), flight=Flight())
     elif not search.followed:  # it was none: nothing is known of the target
         now = replace(now, seen_seq=-1, carrier_id=-1)
         search = looked_at(tracks, now, chances, rules)
@@ -168,8 +167,9 @@ def seek(
         return stay(future(tracks, shown, horizon), horizon), replace(now, search=search)
     search = replace(search, shown_id=-1)
     if row < 0:
-        now, away = replace(now, search=search), escaped(tracks, now, rules)
-        return (follow(tracks, away, horizon), now) if away >= 0 else unlocked(tracks, now, rules)
+        now = flown(tracks, replace(now, search=search), rules)
+        row = row_of(tracks, now.flight.id)
+        return (follow(tracks, row, horizon), now) if row >= 0 else unlocked(tracks, now, rules)
     search = replace(search, kept=search.kept + 1)
     now = replace(now, search=replace(search, followed=well_known(search, rules)))
     carrier = carrier_of(tracks, now)
@@ -183,21 +183,17 @@ def well_known(search: SearchState, rules: VerifyingPolicySettings) -> bool:
     return search.followed or (not search.refuted and search.kept >= rules.patience)
 
 
-def escaped(tracks: Tracks, now: VerifyingState, rules: VerifyingPolicySettings) -> int:
-    """Return the row of what may be the lost target on its way, or -1.
+def flown(tracks: Tracks, now: VerifyingState, rules: VerifyingPolicySettings) -> VerifyingState:
+    """Keep what may be the lost target on its way: where that is, the target was last seen.
 
-    That is the surest of the candidates that the context shows in every observed frame, no farther
-    from where the target was last seen than a kicked ball gets, for `patience` frames. A verdict on
-    it may be of what stood there before: its track began at the place that the ball left. It is
-    the consumer's target at once, since a flight is shorter than the looks of a verdict.
+    It is the consumer's target at once, since a flight is shorter than the looks of a verdict.
     """
-    since = tracks.header.seq - now.seen_seq
-    if now.seen_seq < 0 or since > rules.patience:
-        return -1
-    away = np.linalg.norm(centres(tracks.boxes[:, -1]) - centres(now.box), axis=1)
-    fit = tracks.visible.all(1) & of_class(tracks, now.spec.label)
-    fit &= (tracks.scores >= ESCAPED_SCORE) & (away <= ESCAPED_PX + ESCAPED_STEP_PX * since)
-    return int(np.where(fit, tracks.scores, -1).argmax()) if fit.any() else -1
+    lost = tracks.header.seq - now.seen_seq
+    if now.seen_seq < 0 or (now.flight.id == PLACE and lost > rules.patience):
+        return now
+    now = replace(now, flight=next_flight(tracks, now.flight, now.spec.label, now.box, lost))
+    row = row_of(tracks, now.flight.id)
+    return noted(tracks, row, now, now.spec) if row >= 0 else now
 
 
 def target_odds(tracks: Tracks, now: VerifyingState) -> NDArray[np.float32]:

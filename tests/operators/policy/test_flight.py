@@ -1,89 +1,144 @@
-"""A target that was followed and is lost is followed on its way, where the context shows it."""
+"""Flight: a target that was followed and is lost is followed on its way, while it moves."""
 
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
 import pytest
 
-from operators.policy.verifying import ESCAPED_SCORE
+from operators.policy.flight import LONGEST, Flight, next_flight
 from pipeline import Tracks
 from tests.operators.policy.made_up import tracks
 from tests.operators.policy.test_verifying import PLACES, Run
 
 X, Y = PLACES[2]
-FRAMES = 4  # that tracks show
+LEFT = np.array([X - 8, Y - 8, X + 8, Y + 8], np.float32)  # where the target was last seen
+FAINT, PATIENCE = 0.12, 12
 
 
-def flying(seq: int, kicked_seq: int, step_px: float, score: float, shown: bool = True) -> Tracks:
-    """Return a crowd, and a ball that left the place of ball 2 and flies to the left."""
-    x = X - step_px * (seq - kicked_seq)
-    frame = tracks(
-        seq, (9, 0, x, float(Y), 0.0), *[(20 + k, 1, 900.0 + 50 * k, 500.0, 0) for k in range(3)]
-    )
-    frame.scores[0] = score
+def flying(
+    seq: int, away_px: float, step_px: float = -25.0, *, shown: bool = True, turns_px: float = 0.0,
+    person_at: float = 900.0,
+) -> Tracks:  # fmt: skip
+    """Return a crowd that a turning camera moves, and a faint ball beside the place of ball 2."""
+    ball = (9, 0, X + away_px, float(Y), step_px + turns_px)
+    crowd = [(20 + k, 1, person_at + 50 * k, float(Y) - 15, turns_px) for k in range(3)]
+    frame = tracks(seq, ball, *crowd)
+    frame.scores[0] = FAINT
     frame.visible[0] = shown
     return frame
 
 
-def followed() -> Run:
-    """A policy whose target, ball 2, was followed and is gone from now on."""
-    run = Run({2: 0.98}, patience=12)
-    assert run.looked_at(40, 2)[-1] == 2
-    return run
+def begun(lost: int = 4, **ball: Any) -> Flight:
+    return next_flight(flying(100, **ball), Flight(), "ball", LEFT, lost)
 
 
-def gaze(run: Run, frames: int, **ball: float) -> list[bool]:
-    """Return in which frames the window shows the ball that flies."""
-    kicked, found = run.seq, []
-    for _ in range(frames):
-        frame = flying(run.seq, kicked, **ball)  # type: ignore[arg-type]
-        box = run.policy.on_tracks(frame).boxes[0]
-        centre = (frame.boxes[0, -1, :2] + frame.boxes[0, -1, 2:]) / 2
-        found.append(bool((box[:2] < centre).all() and (centre < box[2:]).all()))
-        run.seq += 1
-    return found
-
-
-def test_a_ball_that_flies_from_where_the_target_was_is_followed() -> None:
-    shown = gaze(followed(), 12, step_px=25.0, score=ESCAPED_SCORE + 0.1)
-
-    assert all(shown)
+def test_what_flies_straight_away_from_where_the_target_was_is_followed() -> None:
+    assert begun(away_px=-100.0) == Flight(id=9, since_seq=100)
 
 
 @pytest.mark.parametrize(
     "ball",
     [
-        {"step_px": 25.0, "score": ESCAPED_SCORE - 0.05},
-        {"step_px": 90.0, "score": ESCAPED_SCORE + 0.1},
-        {"step_px": 25.0, "score": ESCAPED_SCORE + 0.1, "shown": False},
+        {"away_px": -100.0, "step_px": 25.0},
+        {"away_px": -100.0, "step_px": -2.0},
+        {"away_px": -300.0},
+        {"away_px": -100.0, "shown": False},
+        {"away_px": -100.0, "person_at": X - 110.0},
+        {"away_px": -100.0, "step_px": 0.0, "turns_px": -25.0},
     ],
-    ids=["faint", "faster than a ball", "hidden"],
+    ids=[
+        "flies towards it", "slow", "farther than a ball flies", "hidden", "at somebody's feet",
+        "moved by the camera",
+    ],
+)  # fmt: skip
+def test_what_may_be_something_else_is_not(ball: Mapping[str, Any]) -> None:
+    assert begun(**ball) == Flight()
+
+
+def test_a_camera_that_turns_along_hides_no_flight() -> None:
+    assert begun(away_px=-100.0, turns_px=25.0).id == 9
+
+
+def test_a_flight_goes_on_wherever_it_leads_until_it_has_come_down() -> None:
+    flight = begun(away_px=-100.0)
+
+    assert next_flight(flying(101, -600.0, 25.0), flight, "ball", LEFT, 5) == flight
+    assert next_flight(flying(102, -600.0, 1.0), flight, "ball", LEFT, 6) == Flight(over=True)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [tracks(101), flying(101, -125.0, shown=False), flying(100 + LONGEST, -600.0)],
+    ids=["gone", "hidden", "too long"],
 )
-def test_what_may_be_something_else_is_not(ball: dict[str, float]) -> None:
-    shown = gaze(followed(), 12, **ball)
-
-    assert not any(shown[-3:])
+def test_a_flight_ends_when_nothing_shows_it_or_it_takes_too_long(frame: Tracks) -> None:
+    assert next_flight(frame, begun(away_px=-100.0), "ball", LEFT, 5) == Flight(over=True)
 
 
-def test_it_is_followed_for_as_long_as_a_lost_target_is_waited_for() -> None:
-    shown = gaze(followed(), 40, step_px=25.0, score=ESCAPED_SCORE + 0.1)
+def test_after_a_flight_no_other_is_followed() -> None:
+    over = Flight(over=True)
 
-    assert all(shown[:12])
-    assert not any(shown[-10:])
+    assert next_flight(flying(110, -100.0), over, "ball", LEFT, 4) == over
 
 
-def test_the_consumer_is_bound_to_it_at_once() -> None:
+def test_without_tracks_nothing_flies() -> None:
+    assert next_flight(tracks(100), Flight(), "ball", LEFT, 4) == Flight()
+
+
+def followed() -> Run:
+    """A policy whose target, ball 2, was followed and is gone from now on."""
+    run = Run({2: 0.98}, patience=PATIENCE)
+    assert run.looked_at(40, 2)[-1] == 2
+    return run
+
+
+def kicked(run: Run, frames: int, step_px: float = -25.0) -> tuple[list[bool], list[int]]:
+    """Return in which frames the gaze goes along with a ball that flies left, and the choices."""
+    shown, choices = [], []
+    for k in range(frames):
+        frame = flying(run.seq, step_px * k, step_px)
+        path = run.policy.on_tracks(frame)
+        shown.append(bool(np.allclose(path.boxes[0], frame.predicted[0, 0])))
+        choices.append(int(path.choice[0]))
+        run.seq += 1
+    return shown, choices
+
+
+def test_the_gaze_goes_along_for_longer_than_a_lost_target_is_waited_for() -> None:
+    shown, choices = kicked(followed(), 3 * PATIENCE)
+
+    assert all(shown)
+    assert set(choices) == {9}  # the consumer is bound to it at once
+
+
+def test_where_it_came_down_it_is_waited_for() -> None:
     run = followed()
-    kicked = run.seq
+    kicked(run, 20)
+    down_px = -25.0 * 19
 
-    paths = [run.policy.on_tracks(flying(kicked + k, kicked, 25.0, 0.4)) for k in range(4)]
+    boxes = [run.policy.on_tracks(flying(run.seq + k, down_px, 0.0)).boxes[0] for k in range(6)]
 
-    assert [int(path.choice[0]) for path in paths] == [9] * 4
+    assert all(abs((box[0] + box[2]) / 2 - (X + down_px)) < 30 for box in boxes)
 
 
-def test_where_no_target_was_followed_nothing_escaped() -> None:
-    run = Run({}, patience=12)
+def test_where_no_target_was_followed_nothing_flies() -> None:
+    run = Run({}, patience=PATIENCE)
 
-    frames = [tracks(seq, (9, 0, 50.0, 50.0, 0.0)) for seq in range(8)]
-    for frame in frames:
-        frame.scores[0] = ESCAPED_SCORE + 0.1
-    choices = [int(run.policy.on_tracks(frame).choice[0]) for frame in frames]
+    choices = [int(run.policy.on_tracks(flying(seq, -25.0 * seq)).choice[0]) for seq in range(8)]
 
     assert choices == [-1] * 8
+
+
+def test_a_target_that_is_found_again_may_be_kicked_again() -> None:
+    run = followed()
+    kicked(run, 20)
+    for _ in range(4):  # it came down
+        run.policy.on_tracks(flying(run.seq, -475.0, 0.0))
+        run.seq += 1
+    assert run.policy.state().flight.over
+
+    run.looked_at(60, 2)
+
+    assert run.policy.state().locked == 2
+    assert run.policy.state().flight == Flight()

@@ -1,0 +1,84 @@
+"""A lost target that was kicked: it flies straight away from where it was last seen.
+
+What flies is blurred, so that the context rates it low and no look confirms it before it is down.
+How it moves tells it from what lies there or runs about: straight away from that place, fast, at
+nobody's feet.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.policy.carrier import PEOPLE
+from operators.policy.gaze_plan import PLACE, of_class, row_of
+from pipeline import Tracks
+from pipeline.boxes import centres, sizes
+
+# how far it may be from where the target was last seen: at once, and for each frame since
+REACH_PX, STEP_PX = 60.0, 30.0
+STRAIGHT = 0.8  # least cosine of the angle between its motion and the way from there
+LEAST_SPEED = 0.5  # of its size in each frame
+SLOW = 0.25  # of its size in each frame, below which it has come down
+LONGEST = 100  # frames that a flight may take
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """The track that is followed on its way; none follows another until the target is found."""
+
+    id: int = PLACE
+    since_seq: int = -1
+    over: bool = False
+
+
+def next_flight(tracks: Tracks, before: Flight, label: str, place: Array, lost: int) -> Flight:
+    """Return the flight that goes on, begins or is over; `lost` frames ago the target was at
+    `place` (4,).
+    """
+    if before.over:
+        return before
+    if before.id != PLACE:
+        return before if goes_on(tracks, before) else Flight(over=True)
+    row = begun(tracks, label, place, lost)
+    return Flight(id=int(tracks.ids[row]), since_seq=tracks.header.seq) if row >= 0 else before
+
+
+def goes_on(tracks: Tracks, flight: Flight) -> bool:
+    """Whether a flight is still to be followed."""
+    row = row_of(tracks, flight.id)
+    if row < 0 or tracks.header.seq - flight.since_seq >= LONGEST:
+        return False
+    fast = np.linalg.norm(motion(tracks)[row]) >= SLOW * sizes(tracks.boxes[row : row + 1, -1])[0]
+    return bool(tracks.visible[row].any() and fast)
+
+
+def begun(tracks: Tracks, label: str, place: Array, lost: int) -> int:
+    """Return the row of the surest of what may have left `place` (4,) `lost` frames ago; or -1.
+
+    It is seen in every observed frame and no farther away than a kicked ball gets.
+    """
+    step, way = motion(tracks), centres(tracks.boxes[:, -1]) - centres(place)
+    speed, away = np.linalg.norm(step, axis=1), np.linalg.norm(way, axis=1)
+    fit = of_class(tracks, label) & tracks.visible.all(1) & ~at_somebody(tracks)
+    fit &= (away <= REACH_PX + STEP_PX * lost) & (speed >= LEAST_SPEED * sizes(tracks.boxes[:, -1]))
+    fit &= (step * way).sum(1) >= STRAIGHT * speed * away
+    return int(np.where(fit, tracks.scores, -1).argmax()) if fit.any() else -1
+
+
+def motion(tracks: Tracks) -> Array:
+    """Return how far each track moves in a frame, beside what most do: (n, 2), pixels.
+
+    A camera that turns moves them all.
+    """
+    path = centres(tracks.boxes)
+    step = (path[:, -1] - path[:, 0]) / max(path.shape[1] - 1, 1)
+    return np.asarray(step - np.median(step, axis=0) if len(step) else step, np.float32)
+
+
+def at_somebody(tracks: Tracks) -> NDArray[np.bool_]:
+    """Return which tracks have their centre inside a person's box, as boots have: (n,)."""
+    people = np.any([of_class(tracks, name) for name in PEOPLE], axis=0)
+    middles, boxes = centres(tracks.boxes[:, -1])[:, None], tracks.boxes[people, -1][None]
+    return np.asarray(((middles >= boxes[..., :2]) & (middles <= boxes[..., 2:])).all(2).any(1))
