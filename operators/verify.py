@@ -20,9 +20,9 @@ from pipeline.errors import FoveaError
 # Gains of the logits of the detector's score and of the encoder's probability, beside the score in
 # the context, which the policy counts: a logistic regression over 1,562 candidates in stills of the
 # development match, 29 of them balls, with the detector `larger`. On the matches left out a ball is
-# rated above another candidate in .977 of the pairs, by the context alone in .935, by the score in
-# the ROI alone in .966, by the encoder in .948 (python -m bench.second_look). Fitted anew to `roi`
-# the gains are no better there and worse in the loop: operators/saliency/CARD.md.
+# rated above another candidate in .975 of the pairs, by the context alone in .935, by the score in
+# the ROI alone in .965, by the encoder in .948 (python -m bench.second_look). Fitted anew to `roi`
+# the gains are no better there and were worse in the loop: operators/saliency/CARD.md.
 OF_SCORE, OF_ENCODER = 1.46, 0.58
 LEAST = 0.005  # shares are clipped to LEAST .. 1 - LEAST
 UNKNOWN = 1.0  # what an encoder says that verifies nothing
