@@ -115,7 +115,7 @@ VERIFYING = {
     "a rival must be clearly better": Rule(parts=(("verifying:MARGIN", 0.0),)),
     "the target's odds change slowly": Rule(parts=(("verifying:OWN_GAIN", 1.0),)),
     "a lost target is waited for": Rule(parts=(("verifying:well_known", returns(False)),)),
-    "it is followed on its way": Rule(parts=(("verifying:next_flight", returns(Flight())),)),
+    "a kicked ball is followed": Rule(parts=(("verifying:next_flight", returns(Flight())),)),
     "a person nearby carries it": Rule(parts=(("pursuit:can_carry", nobody),)),
     "people are searched": Rule(parts=(("pursuit:busiest", returns(None)),)),
 }  # fmt: skip

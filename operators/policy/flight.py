@@ -1,8 +1,9 @@
 """A lost target that was kicked: it flies straight away from where it was last seen.
 
-What flies is blurred, so that the context rates it low and no look confirms it before it is down.
-How it moves tells it from what lies there or runs about: straight away from that place, fast, at
-nobody's feet.
+What flies is blurred, so that the context rates it low and a look would refute it. How it moves
+tells it from what lies there or runs about: straight away from that place, fast, and at nobody's
+feet. People who are looked for are not kicked. The place is not moved with the camera: a ball that
+is slower than the camera turns is not recognised.
 """
 
 from dataclasses import dataclass
@@ -10,8 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.carrier import PEOPLE
+from operators.policy.carrier import can_carry
 from operators.policy.gaze_plan import PLACE, of_class, row_of
+from operators.policy.motion import common
+from operators.policy.target import TargetSpec
 from pipeline import Tracks
 from pipeline.boxes import centres, sizes
 
@@ -28,57 +31,60 @@ Array = NDArray[np.float32]
 class Flight:
     """The track that is followed on its way; none follows another until the target is found."""
 
-    id: int = PLACE
+    track_id: int = PLACE
     since_seq: int = -1
     over: bool = False
 
 
-def next_flight(tracks: Tracks, before: Flight, label: str, place: Array, lost: int) -> Flight:
+def next_flight(
+    tracks: Tracks, before: Flight, spec: TargetSpec, place: Array, lost: int
+) -> Flight:
     """Return the flight that goes on, begins or is over; `lost` frames ago the target was at
     `place` (4,).
     """
-    if before.over:
+    if before.over or spec.label in spec.carriers:
         return before
-    if before.id != PLACE:
-        return before if goes_on(tracks, before) else Flight(over=True)
-    row = begun(tracks, label, place, lost)
-    return Flight(id=int(tracks.ids[row]), since_seq=tracks.header.seq) if row >= 0 else before
+    if before.track_id != PLACE:
+        return before if goes_on(tracks, before, spec) else Flight(over=True)
+    row = begun(tracks, spec, place, lost)
+    if row < 0:
+        return before
+    return Flight(track_id=int(tracks.ids[row]), since_seq=tracks.header.seq)
 
 
-def goes_on(tracks: Tracks, flight: Flight) -> bool:
+def goes_on(tracks: Tracks, flight: Flight, spec: TargetSpec) -> bool:
     """Whether a flight is still to be followed."""
-    row = row_of(tracks, flight.id)
+    row = row_of(tracks, flight.track_id)
     if row < 0 or tracks.header.seq - flight.since_seq >= LONGEST:
         return False
     fast = np.linalg.norm(motion(tracks)[row]) >= SLOW * sizes(tracks.boxes[row : row + 1, -1])[0]
-    return bool(tracks.visible[row].any() and fast)
+    return bool(fast and tracks.visible[row].any() and of_class(tracks, spec.label)[row])
 
 
-def begun(tracks: Tracks, label: str, place: Array, lost: int) -> int:
+def begun(tracks: Tracks, spec: TargetSpec, place: Array, lost: int) -> int:
     """Return the row of the surest of what may have left `place` (4,) `lost` frames ago; or -1.
 
-    It is seen in every observed frame and no farther away than a kicked ball gets.
+    It is seen in every observed frame, has left the place, and is no farther away than a kicked
+    ball gets.
     """
     step, way = motion(tracks), centres(tracks.boxes[:, -1]) - centres(place)
     speed, away = np.linalg.norm(step, axis=1), np.linalg.norm(way, axis=1)
-    fit = of_class(tracks, label) & tracks.visible.all(1) & ~at_somebody(tracks)
-    fit &= (away <= REACH_PX + STEP_PX * lost) & (speed >= LEAST_SPEED * sizes(tracks.boxes[:, -1]))
-    fit &= (step * way).sum(1) >= STRAIGHT * speed * away
+    size = sizes(tracks.boxes[:, -1])
+    fit = of_class(tracks, spec.label) & tracks.visible.all(1) & ~at_somebody(tracks, spec)
+    fit &= (away >= size) & (away <= REACH_PX + STEP_PX * lost)
+    fit &= (speed >= LEAST_SPEED * size) & ((step * way).sum(1) >= STRAIGHT * speed * away)
     return int(np.where(fit, tracks.scores, -1).argmax()) if fit.any() else -1
 
 
 def motion(tracks: Tracks) -> Array:
-    """Return how far each track moves in a frame, beside what most do: (n, 2), pixels.
-
-    A camera that turns moves them all.
-    """
+    """Return how far each track moves in a frame, less the camera's motion: (n, 2), pixels."""
     path = centres(tracks.boxes)
     step = (path[:, -1] - path[:, 0]) / max(path.shape[1] - 1, 1)
-    return np.asarray(step - np.median(step, axis=0) if len(step) else step, np.float32)
+    return np.asarray(step - common(step[np.isfinite(step).all(1)]), np.float32)
 
 
-def at_somebody(tracks: Tracks) -> NDArray[np.bool_]:
-    """Return which tracks have their centre inside a person's box, as boots have: (n,)."""
-    people = np.any([of_class(tracks, name) for name in PEOPLE], axis=0)
+def at_somebody(tracks: Tracks, spec: TargetSpec) -> NDArray[np.bool_]:
+    """Return which tracks have their centre inside the box of a person in view, as boots have."""
+    people = can_carry(tracks, spec.carriers, spec.label) & tracks.visible[:, -1]
     middles, boxes = centres(tracks.boxes[:, -1])[:, None], tracks.boxes[people, -1][None]
     return np.asarray(((middles >= boxes[..., :2]) & (middles <= boxes[..., 2:])).all(2).any(1))

@@ -168,7 +168,7 @@ def seek(
     search = replace(search, shown_id=-1)
     if row < 0:
         now = flown(tracks, replace(now, search=search), rules)
-        row = row_of(tracks, now.flight.id)
+        row = row_of(tracks, now.flight.track_id)
         return (follow(tracks, row, horizon), now) if row >= 0 else unlocked(tracks, now, rules)
     search = replace(search, kept=search.kept + 1)
     now = replace(now, search=replace(search, followed=well_known(search, rules)))
@@ -184,15 +184,15 @@ def well_known(search: SearchState, rules: VerifyingPolicySettings) -> bool:
 
 
 def flown(tracks: Tracks, now: VerifyingState, rules: VerifyingPolicySettings) -> VerifyingState:
-    """Keep what may be the lost target on its way: where that is, the target was last seen.
+    """Follow the lost target's flight, if there is one; the target was last seen where that is.
 
-    It is the consumer's target at once, since a flight is shorter than the looks of a verdict.
+    The consumer is bound to it at once: a look would refute what is blurred.
     """
     lost = tracks.header.seq - now.seen_seq
-    if now.seen_seq < 0 or (now.flight.id == PLACE and lost > rules.patience):
+    if now.seen_seq < 0 or (now.flight.track_id == PLACE and lost > rules.patience):
         return now
-    now = replace(now, flight=next_flight(tracks, now.flight, now.spec.label, now.box, lost))
-    row = row_of(tracks, now.flight.id)
+    now = replace(now, flight=next_flight(tracks, now.flight, now.spec, now.box, lost))
+    row = row_of(tracks, now.flight.track_id)
     return noted(tracks, row, now, now.spec) if row >= 0 else now
 
 

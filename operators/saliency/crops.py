@@ -47,7 +47,7 @@ def augmented(
     what a ROI does, and more balls, in hands and in flight.
     """
     if roi:
-        example = crop(still, rng, size_px, scale=roi_scale(rng))
+        example = crop(still, rng, size_px, scale=drawn_scale(rng))
     else:
         enlarged = size_px == CONTEXT_PX or rng.random() < CONTEXT_SHARE
         example = crop(still, rng, CONTEXT_PX if enlarged else size_px)
@@ -94,8 +94,8 @@ def scale_of(
     return float(np.exp(rng.uniform(np.log(low), np.log(max(low, high)))))
 
 
-def roi_scale(rng: np.random.Generator) -> float:
-    """Pixels of what shows a ROI over those of full resolution."""
+def drawn_scale(rng: np.random.Generator) -> float:
+    """Draw a scale of a ROI: pixels of what shows it over those of full resolution."""
     return float(np.exp(rng.uniform(*np.log(ROI_SCALE))))
 
 

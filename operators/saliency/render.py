@@ -19,9 +19,9 @@ from drivers.datasets.sequence import span
 from drivers.datasets.soccernet import SoccerNetSequence
 from drivers.scenes.soccer import SoccerScene
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, FrameSource
-from operators.saliency.crops import crop, roi_scale
+from operators.saliency.crops import crop, drawn_scale
 from operators.saliency.difference import FrameDifference
-from operators.saliency.example import CONTEXT_PX, NAMES, Example, resized
+from operators.saliency.example import CONTEXT_PX, NAMES, Example
 from operators.training.arrays import outdated, write
 from operators.training.command_line import in_a_sentence
 from operators.training.identity import Identity, of_code
@@ -41,7 +41,7 @@ def whole(source: FrameSource, index: int) -> Example:
     known = np.array([label in CLASS_OF_ROLE for label in truth.labels], np.bool_)
     labels = [NAMES.index(CLASS_OF_ROLE[label]) for label in truth.labels if label in CLASS_OF_ROLE]
     return Example(
-        picture=source.picture(index),
+        picture=source.picture(index).copy(),  # a source may draw the next one in its place
         boxes=truth.boxes[known],
         labels=np.array(labels, np.int64),
         ignored=truth.visibility[known] < LEAST_VISIBLE,
@@ -50,24 +50,29 @@ def whole(source: FrameSource, index: int) -> Example:
 
 def example(source: FrameSource, index: int) -> Example:
     """One picture at context size with its objects and what changed since the frame before."""
-    shown = resized(whole(source, index), CONTEXT_PX)
+    return as_context(whole(source, index), source, index)
+
+
+def as_context(picture: Example, source: FrameSource, index: int) -> Example:
+    """A whole picture of a source as the context shows it, with its difference."""
+    height, width = picture.picture.shape[:2]
+    gain = np.array([CONTEXT_PX[0] / width, CONTEXT_PX[1] / height] * 2, np.float32)
+    shown = replace(picture, picture=shrunk(picture.picture), boxes=picture.boxes * gain)
     if not index:
         return shown
     difference = FrameDifference()
-    difference.of(context(source, index - 1))
+    difference.of(shrunk(source.picture(index - 1)))
     return replace(shown, difference=difference.of(shown.picture).astype(np.float32))
 
 
-def rois(source: FrameSource, index: int, count: int, rng: np.random.Generator) -> list[Example]:
-    """Parts of one picture as ROIs show them, mostly around an object; none knows what changed."""
-    picture = whole(source, index)
-    return [crop(picture, rng, CONTEXT_PX, scale=roi_scale(rng)) for _ in range(count)]
+def cut_out(picture: Example, count: int, rng: np.random.Generator) -> list[Example]:
+    """Parts of a whole picture as ROIs show them, mostly around an object; without a difference."""
+    return [crop(picture, rng, CONTEXT_PX, scale=drawn_scale(rng)) for _ in range(count)]
 
 
-def context(source: FrameSource, index: int) -> NDArray[np.uint8]:
-    """A picture of a source as the context shows it."""
-    small = cv2.resize(source.picture(index), CONTEXT_PX, interpolation=cv2.INTER_AREA)
-    return np.asarray(small, np.uint8)
+def shrunk(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A picture of any size at the size of the context."""
+    return np.asarray(cv2.resize(picture, CONTEXT_PX, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def packed(picture: NDArray[np.uint8], difference: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -99,10 +104,14 @@ def moments(seed: int, count: int, span: int) -> list[int]:
 def made_with(count: int, span: int, rois: int = 0) -> dict[str, str]:
     """What decides the pictures of a scene beside its seed."""
     code = of_code(
-        "drivers.scenes.soccer", "operators.saliency.render", "operators.saliency.difference"
-    )
+        "drivers.scenes.soccer", "operators.saliency.render", "operators.saliency.difference",
+        "operators.saliency.example",
+    )  # fmt: skip
     made = code | {"moments": str(count), "span": str(span)}
-    return made | of_code("operators.saliency.crops") | {"rois": str(rois)} if rois else made
+    if not rois:
+        return made
+    cutting = of_code("operators.saliency.crops", "operators.saliency.augment")
+    return made | cutting | {"rois": str(rois)}
 
 
 def render(
@@ -111,7 +120,7 @@ def render(
 ) -> None:  # fmt: skip
     """Render `count` moments of each seed's scene into `folder`; seeds already there are kept.
 
-    Each moment is a context and `rois` parts as a ROI shows them. Those that are damaged, or were
+    Each moment is a context and `rois` parts at a ROI's scale. Those that are damaged, or were
     rendered with other settings or code, are rendered anew.
     """
     made = made_with(count, span, rois)
@@ -123,13 +132,14 @@ def render(
             job.result()
 
 
-def _render_scene(path: Path, count: int, span: int, made: Identity, rois_each: int) -> None:
+def _render_scene(path: Path, count: int, span: int, made: Identity, rois: int) -> None:
     cv2.setNumThreads(1)
     seed = int(path.stem)
     scene = SoccerScene(size_px=FULL_PX, rate_hz=RATE_HZ, seed=seed)
-    rng, examples = np.random.default_rng([seed, rois_each]), list[Example]()
+    rng, examples = np.random.default_rng([seed, rois]), list[Example]()
     for index in moments(seed, count, span):
-        examples += [example(scene, index), *rois(scene, index, rois_each, rng)]
+        picture = whole(scene, index)
+        examples += [as_context(picture, scene, index), *cut_out(picture, rois, rng)]
     scene.close()
     _write(examples, path, made)
 

@@ -26,7 +26,7 @@ class TrainSettings:
     scenes: int = 320
     moments: int = 12
     span: int = 900  # frames of each scene over which its moments are spread
-    rois: int = 0  # pictures of each moment, beside its context, that show what a ROI does
+    rois: int = 0  # parts of each moment, beside its context, at a ROI's scale in 480 pixels
     steps: int = 4800
     batch: int = 16
     rate: float = 2e-3
@@ -65,9 +65,8 @@ class TrainSettings:
         if self.rois and not self.scenes:
             raise SettingsError("rois: expected scenes as well, got none")
         for name in ("roi_share", "rois"):
-            if getattr(self, name) and self.difference:
-                said = "expected no difference: a ROI has no frame before it"
-                raise SettingsError(f"{name}: {said}")
+            if getattr(self, name) and self.difference:  # a ROI has no frame before it
+                raise SettingsError(f"{name}: expected no difference, got one")
         if self.moving_only and not (self.difference and self.init):
             lacks = "weights to begin with (init)" if self.difference else "difference"
             raise SettingsError(f"moving_only: expected {lacks} as well, got none")

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.scenes.soccer import SoccerScene
 from operators.saliency.example import CONTEXT_PX, NAMES
-from operators.saliency.render import convert, made_with, render
+from operators.saliency.render import convert, example, made_with, render, shrunk, whole
 from pipeline.errors import SettingsError
 from tests.drivers.sequences import SIZE_PX, write_sequence
 
@@ -49,12 +50,29 @@ def test_a_moment_of_a_drawn_scene_is_a_context_and_parts_as_a_roi_shows_them(
     of_context = np.repeat(truth["known"], np.diff(truth["first"]))[people]
     assert pictures.shape == (2 * (1 + 3), CONTEXT_PX[1], CONTEXT_PX[0], 4)
     assert truth["known"].tolist() == [True, False, False, False] * 2
-    # a quarter there, .6 to 2 of full resolution here
+    # a quarter of full resolution there, .6 to 2 of it here
     assert np.median(heights[~of_context]) > 2 * np.median(heights[of_context])
     assert (truth["boxes"] >= 0).all()
     assert (truth["boxes"] <= np.tile(CONTEXT_PX, 2)).all()
 
 
-def test_pictures_of_rois_make_another_set_and_none_changes_nothing() -> None:
-    assert made_with(2, 40) == made_with(2, 40, rois=0)
-    assert made_with(2, 40) != made_with(2, 40, rois=1) != made_with(2, 40, rois=2)
+@pytest.mark.parametrize("size_px", [CONTEXT_PX, (1920, 1080)])
+def test_a_picture_stays_what_it_was_when_its_source_draws_the_next(
+    size_px: tuple[int, int],
+) -> None:
+    scene = SoccerScene(size_px=size_px, rate_hz=25.0, seed=3)
+    alone = whole(scene, 30).picture.copy()
+
+    picture, shown = whole(scene, 30), example(scene, 30)
+    scene.picture(200)
+
+    assert (picture.picture == alone).all()
+    assert (shown.picture == shrunk(alone)).all()
+    assert shown.difference is not None
+    assert shown.difference.any()
+    scene.close()
+
+
+def test_pictures_of_rois_make_another_set() -> None:
+    assert "rois" not in made_with(2, 40)
+    assert len({str(made_with(2, 40, rois)) for rois in (0, 1, 2)}) == 3
