@@ -29,18 +29,19 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True)
 class Flight:
-    """The track that is followed on its way; none follows another until the target is found."""
+    """The track that is followed on its way."""
 
     track_id: int = PLACE
-    since_seq: int = -1
-    over: bool = False
+    since_seq: int = -1  # frame in which it began
+    over: bool = False  # no other begins before the target is found again
 
 
 def next_flight(
     tracks: Tracks, before: Flight, spec: TargetSpec, place: Array, lost: int
 ) -> Flight:
-    """Return the flight that goes on, begins or is over; `lost` frames ago the target was at
-    `place` (4,).
+    """Return the flight that goes on, begins or is over.
+
+    `lost` frames ago the target was last seen at `place` (4,), xyxy in pixels of the sensor.
     """
     if before.over or spec.label in spec.carriers:
         return before

@@ -52,9 +52,8 @@ class TrainSettings:
                 none = "0 or " if name == "also_px" else ""
                 said = f"{name}: must be {none}within {LEAST_PX}..{MOST_PX}, got {width}"
                 raise SettingsError(said)
-        at_least(
-            0, self, "scenes", "rois", "warmup", "decay", "seed"
-        )  # no scenes: other data alone
+        # no scenes: other data alone
+        at_least(0, self, "scenes", "rois", "warmup", "decay", "seed")
         above_zero(self, "rate", "minutes")
         for name in ("raw_share", "roi_share", "stills_share"):
             if not 0 <= (share := getattr(self, name)) <= 1:
