@@ -1,6 +1,7 @@
 # Two commands do everything on a machine with Python 3.11: `make demo` and `make test`.
 #
 #   make test          what every change has to pass: needs no footage, no GPU, no torch, no network
+#   make test-lengthy  the tests that take seconds of a processor each: whole graphs, evaluations
 #   make test-hosts    the tests that deploy graphs over several hosts, on this one: two minutes
 #   make test-slow     the tests that take minutes, and a search for inputs that break something
 #   make test-footage  the tests on recordings and third-party weights, which are in SHARED; what is
@@ -18,7 +19,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # rapidocr brings OpenCV with windows, which needs libGL; the one without takes its place again
 HEADLESS = $(PIP) --force-reinstall --no-deps opencv-python-headless
 
-.PHONY: demo test test-hosts test-slow test-footage test-robot guest-kernel test-guest guest-gadget guest-usbip check train clean
+.PHONY: demo test test-lengthy test-hosts test-slow test-footage test-robot guest-kernel test-guest guest-gadget guest-usbip check train clean
 
 # where recordings (data/) and third-party weights (models/) are
 SHARED ?= ../shared
@@ -52,6 +53,10 @@ demo: $(VENV)/.installed $(patsubst %,$(VENV)/.installed-%,\
 # twice as many processes as two cores: half of the time a test waits for those that it starts
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n 4 --dist loadfile
+
+test-lengthy: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -n 4 --dist loadfile \
+		-m "lengthy and not (slow or hosts or hardware or footage)"
 
 # two: agents are to answer within seconds
 test-hosts: $(VENV)/.installed-dev

@@ -299,6 +299,7 @@ def test_ci_runs_what_contributors_run() -> None:
     assert re.findall(r"make \S+\)?\S* ([\w-]+)", runs.replace('"$(command -v python)"', "P")) == [
         "check",
         "test",
+        "test-lengthy",
         "test-hosts",
     ]
 

@@ -72,6 +72,7 @@ def fovea(installed: Path, cwd: Path, *words: str) -> "subprocess.CompletedProce
     )  # fmt: skip
 
 
+@pytest.mark.lengthy
 def test_the_wheel_contains_every_module_graph_network_and_type_marker(wheel: Path) -> None:
     inside = set(zipfile.ZipFile(wheel).namelist())
     api = "pipeline/api/"
@@ -112,6 +113,7 @@ def test_the_version_of_a_wheel_includes_its_commit(
     assert said.endswith(f" (commit {commit})\n")
 
 
+@pytest.mark.lengthy
 def test_a_source_distribution_contains_the_commit_for_wheels_built_from_it(
     source: Path, tmp_path: Path
 ) -> None:

@@ -8,6 +8,7 @@ from tests.adversarial.fuzzing import fuzzed
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("count", [120, pytest.param(10_000, marks=SLOW)])
 def test_no_order_breaks_a_running_graph(count: int) -> None:
     found = fuzzed("orders", count, seed=2)

@@ -10,6 +10,7 @@ from pipeline.run.memory_folder import MEMORY
 from tests.pipeline.run.namespaces import with_small_mounts
 
 
+@pytest.mark.lengthy
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 def test_another_user_can_neither_read_nor_affect_a_running_graph(tmp_path: Path) -> None:
     told = tmp_path / "other_user.json"

@@ -36,6 +36,7 @@ class OnlyWithRoi:
         return (self.box if there else self.box + 5000), 1.0
 
 
+@pytest.mark.lengthy
 def test_a_tracker_that_needs_the_roi_gains_inside_windows_and_nothing_outside():
     found = list(tries(60_000, FOLLOWED + 1, 4, OnlyWithRoi()))
     gains = {d: [t.gain for t in found if t.distance == d] for d in DISTANCES}
@@ -46,6 +47,7 @@ def test_a_tracker_that_needs_the_roi_gains_inside_windows_and_nothing_outside()
     assert all(rank > 0.5 for rank in correlation_of(found).values())
 
 
+@pytest.mark.lengthy
 def test_rows_are_the_same_every_time_and_state_their_sample():
     rows = [rows_of(list(tries(60_000, FOLLOWED + 1, 4, OnlyWithRoi()))) for _ in range(2)]
 

@@ -33,6 +33,7 @@ def test_each_state_of_a_ball_has_a_row() -> None:
     assert (row["class"], row["present"], row["among 3"]) == ("ball, free", 9, 0.5)
 
 
+@pytest.mark.lengthy
 def test_a_picture_is_enlarged_into_a_larger_input_and_found_where_it_is() -> None:
     scene = SoccerScene(size_px=(1920, 1080), rate_hz=25, seed=5)
     small = cv2.resize(scene.picture(0), (480, 270), interpolation=cv2.INTER_AREA)

@@ -4,6 +4,7 @@ import json
 import threading
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 
 from bench.endure import main
@@ -15,6 +16,7 @@ def own_threads() -> set[threading.Thread]:
     return {t for t in threading.enumerate() if not isinstance(t, threading._DummyThread)}
 
 
+@pytest.mark.lengthy
 def test_no_file_or_process_is_left_of_what_was_killed_or_swapped(
     tmp_path: Path,
 ) -> None:

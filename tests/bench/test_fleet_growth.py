@@ -19,6 +19,7 @@ def test_every_host_exposes_and_has_the_first_one_as_its_only_partner(tmp_path: 
     assert set(found.values()) == {frozenset({"h0"})}
 
 
+@pytest.mark.lengthy
 def test_two_hosts_are_deployed_to_and_measured() -> None:
     pytest.importorskip("cryptography", reason="needs the fleet extra")
 

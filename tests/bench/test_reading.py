@@ -97,6 +97,7 @@ def test_a_clip_is_played_and_counted() -> None:
     assert found.duration_s == pytest.approx(0.2)
 
 
+@pytest.mark.lengthy
 def test_what_is_legible_is_the_same_for_every_strategy() -> None:
     counts = {trial(job(name, 9)).legible for name in ("temporal", "context")}
 
@@ -292,6 +293,7 @@ def test_wrong_options_are_refused_in_a_sentence(
     assert "Traceback" not in result.output
 
 
+@pytest.mark.lengthy
 def test_an_interrupted_evaluation_goes_on_where_it_was(tmp_path: Path) -> None:
     words = ["--strategies", "context", "--budgets", "1/8", "--frames", "2", "--jobs", "1"]
     words += ["--seed", "50000", "--work", str(tmp_path / "work")]

@@ -1,5 +1,7 @@
 """What a recorder takes is counted, and files of killed recorders are read."""
 
+import pytest
+
 from bench.recording import SMALL_PX, after_kills, pictures, recorded
 
 
@@ -13,6 +15,7 @@ def test_small_streams_are_recorded_whole() -> None:
     assert 0 < row["size"] < 1.1
 
 
+@pytest.mark.lengthy
 def test_the_file_of_a_killed_recorder_ends_before_the_kill() -> None:
     killed = after_kills(1, 1)
 

@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+import pytest
+
 from bench.replays import TRIES, again, laid, on_one_light
 
 
+@pytest.mark.lengthy
 def test_what_is_recorded_is_computed_again_bit_for_bit(tmp_path: Path) -> None:
     row = again(laid("capture.seed=5"), 6, tmp_path / "seen.mcap")
 
@@ -14,6 +17,7 @@ def test_what_is_recorded_is_computed_again_bit_for_bit(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.lengthy
 def test_a_smaller_budget_on_the_same_light_reads_fewer_pixels(tmp_path: Path) -> None:
     tries = on_one_light(6, tmp_path / "light.mcap")
 

@@ -11,6 +11,7 @@ pytest.importorskip("rapidocr")
 from bench.shirts.stages import Readers, main, median, share
 
 
+@pytest.mark.lengthy
 def test_each_reader_is_asked_about_each_legible_number(tmp_path: Path) -> None:
     words = ["--matches", "1", "--frames", "1", "--seed", "50004"]
 

@@ -180,6 +180,7 @@ def loop(
     return Loop(camera=camera, stages=stages, tracks=tracks or {}, rules=Rules(**rules))  # type: ignore[arg-type]
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("graph", "policy"), [("learned", "pursuit"), ("tracking", "")])
 def test_an_episode_has_the_windows_of_the_running_loop(
     clip: Clip, graph: str, policy: str
@@ -311,6 +312,7 @@ def test_data_of_the_wrong_shape_is_refused_in_one_sentence(tmp_path: Path) -> N
         read(ClipName(seed=1), (5, 2))
 
 
+@pytest.mark.lengthy
 def test_a_whole_evaluation_is_written_and_continues_where_it_stopped(tmp_path: Path) -> None:
     words = [
         *("--data", "procedural:70003", "--clips", "1", "--frames", "1-20", "--jobs", "1"),

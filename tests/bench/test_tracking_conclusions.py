@@ -152,6 +152,7 @@ def test_markdown_holds_intervals_differences_and_sentences() -> None:
     ]
 
 
+@pytest.mark.lengthy
 def test_markdown_is_printed_instead_of_the_table_when_asked_for(tmp_path: Path) -> None:
     words = [
         *("--data", "procedural:70003", "--clips", "1", "--frames", "1-10", "--jobs", "1"),

@@ -42,6 +42,7 @@ def played() -> Iterator[Played]:
         )
 
 
+@pytest.mark.lengthy
 def test_every_strategy_names_the_same_tracks_of_every_frame(played: Played) -> None:
     for strategy in ("greedy", "centred", "oracle", "everybody", "recognised", "truth"):
         found = identified(played, strategy)

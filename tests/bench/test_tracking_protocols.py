@@ -76,6 +76,7 @@ def followed(
     return run(loop, ball, start), heard
 
 
+@pytest.mark.lengthy
 def test_a_cue_brings_a_tracker_to_what_the_policy_shows(clip: Clip, stages: Stages) -> None:
     state = TrackerState(box=np.array([[100, 100, 120, 120]], np.float32))
     camera = Camera(clip, acquisition("full", Fraction(1), clip.size_px))

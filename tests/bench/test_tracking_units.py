@@ -105,6 +105,7 @@ def follow(recorded: Path, work: Path, *rows: Case) -> list[Unit]:
     return measured([ClipName(folder=str(recorded))], rows or (row(),), protocol, work, jobs=1)
 
 
+@pytest.mark.lengthy
 def test_an_interrupted_unit_continues_within_a_clip(recorded: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     (whole,) = follow(recorded, work)
@@ -135,6 +136,7 @@ def test_files_of_units_that_a_crash_damaged_are_removed(tmp_path: Path, left: s
     assert units(whole) == []
 
 
+@pytest.mark.lengthy
 def test_damaged_files_are_measured_again(recorded: Path, tmp_path: Path) -> None:
     whole = follow(recorded, tmp_path / "work")
     (file,) = (tmp_path / "work").iterdir()
@@ -173,6 +175,7 @@ def test_warnings_of_the_parts_are_kept_and_counted(
     assert error.endswith(f"{len(told)} warnings: {tmp_path / 'warnings.log'}\n")
 
 
+@pytest.mark.lengthy
 def test_tracks_of_one_detector_are_not_used_for_another() -> None:
     found = []
     with Stock(read(ClipName(seed=70_003), (1, 3)), GRAPH) as stock:

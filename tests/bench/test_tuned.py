@@ -1,11 +1,13 @@
 """A graph before and after what `fovea tune` proposes."""
 
+import pytest
 from rich.console import Console
 
 from bench.options import ROOT
 from bench.tuned import compared
 
 
+@pytest.mark.lengthy
 def test_both_are_run_and_each_figure_has_a_ratio_in_pairs() -> None:
     changes = ("policy.threads=1",)
 

@@ -187,6 +187,7 @@ def test_the_link_does_not_begin_a_frame_that_is_not_ready_and_does_not_wait_for
     assert list(link.gaps_ms()) == [0.0]
 
 
+@pytest.mark.lengthy
 def test_a_small_run_of_the_whole_graph_drops_and_copies_nothing(tmp_path: Path) -> None:
     path = tmp_path / "usb.json"
     words = ["--seconds", "3", "--size", "2560", "1440", "--ring", "2", "--rate-hz", "10",

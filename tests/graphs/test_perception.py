@@ -79,6 +79,7 @@ def check(seeds: Sequence[int], *changes: str) -> None:
     assert np.mean([shares.iou for shares in found]) > FOLLOWED
 
 
+@pytest.mark.lengthy
 def test_the_roi_and_the_consumer_go_with_what_the_policy_is_asked_for() -> None:
     check(SEEDS)
 

@@ -65,6 +65,7 @@ def test_the_graph_is_checked_without_a_warning(monkeypatch: pytest.MonkeyPatch)
     assert "warning" not in result.output
 
 
+@pytest.mark.lengthy
 def test_plans_have_200_windows_and_come_every_180_frames(heard: dict[str, list[Any]]) -> None:
     plans: list[RoiSchedule] = heard["dispatch.out"]
 

@@ -14,6 +14,7 @@ from tests.graphs.test_swaps import looks_at
 FRAMES = 30
 
 
+@pytest.mark.lengthy
 def test_numbers_are_read_and_named_tracks_keep_them_and_no_state_is_lost_in_a_swap() -> None:
     said: list[tuple[int, ...]] = []
     tracks: dict[int, set[int]] = {}

@@ -20,6 +20,7 @@ GRAPH = Path(__file__).parents[2] / "graphs" / "text.yaml"
 OFF = ("capture.frames=24", "capture.seed=50003")
 
 
+@pytest.mark.lengthy
 def test_texts_are_read_and_the_roi_moves_to_them() -> None:
     plan = load(GRAPH, Overlay(changes=OFF, clock="lockstep"))
     percepts: list[Percept] = []
@@ -58,6 +59,7 @@ nodes:
 """
 
 
+@pytest.mark.lengthy
 def test_another_reader_takes_over_while_the_graph_runs_and_knows_what_was_read(
     tmp_path: Path,
 ) -> None:

@@ -40,6 +40,7 @@ def run(tmp_path: Path, *words: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.lengthy
 def test_in_line_and_as_processes_the_sensor_gets_the_same_commands(tmp_path: Path) -> None:
     inline = run(tmp_path, "--inline", "--frames", "15")
     processes = run(tmp_path, "--clock", "lockstep", "--frames", "15")
@@ -57,6 +58,7 @@ def test_the_graph_is_checked_without_a_warning() -> None:
     assert "warning" not in result.output
 
 
+@pytest.mark.lengthy
 def test_a_ball_is_looked_at_until_it_is_verified_and_then_followed() -> None:
     windows: dict[int, Any] = {}
     balls: dict[int, Any] = {}
@@ -104,6 +106,7 @@ def test_the_status_line_of_a_running_graph_shows_its_overlap_with_the_truth(
     assert tracking.reports.headlines["score"] in status_line(tracking, 1.0)
 
 
+@pytest.mark.lengthy
 def test_a_model_file_is_swapped_like_any_setting_and_a_missing_one_is_refused(
     tracking: Supervisor, tmp_path: Path
 ) -> None:

@@ -43,6 +43,7 @@ def record(graph: str, path: Path, outputs: tuple[str, ...] = ()) -> recording.O
     return recording.follow(client, 1.0, lambda: 0, lambda _accounts: None)
 
 
+@pytest.mark.lengthy
 def test_a_running_graph_is_recorded_without_a_gap_on_a_lossless_edge(tmp_path: Path) -> None:
     plan, path, ended = plan_of(tmp_path, CHAIN), tmp_path / "a.mcap", list[recording.Outcome]()
 

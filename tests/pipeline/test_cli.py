@@ -138,6 +138,7 @@ def test_check_draw_and_schema_start_nothing(graph: Path) -> None:
     assert json.loads(command("check", "--schema").stdout)["title"] == "fovea graph"
 
 
+@pytest.mark.lengthy
 def test_a_running_graph_can_be_looked_at_and_ends_cleanly_on_ctrl_c(
     running: "subprocess.Popen[str]", name: str
 ) -> None:

@@ -96,6 +96,7 @@ def test_the_match_has_every_kind_of_moment() -> None:
     assert kinds == {"still", "carry", "pass", "lob", "held"}
 
 
+@pytest.mark.lengthy
 def test_size_and_speed_of_the_ball_are_those_of_a_broadcast() -> None:
     sizes, speeds = [], []
     for seed in range(3):

@@ -56,6 +56,7 @@ def answers() -> list[list[Answer]]:
     return [looked(seed) for seed in HELD_OUT]
 
 
+@pytest.mark.lengthy
 def test_most_players_of_unseen_matches_are_found(answers: list[list[Answer]]) -> None:
     assert np.mean([recall(each) for each in answers]) > LEAST_RECALL
 
@@ -68,6 +69,7 @@ def test_threads_and_a_grey_level_of_noise_change_little(threads: int, noise: in
     assert np.mean(found) > LEAST_RECALL
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("weights", ["eight_bits", "larger", "crowds", "moving"])
 def test_in_eight_bits_as_many_players_are_found(answers: list[list[Answer]], weights: str) -> None:
     quantised = [recall(looked(seed, weights=weights)) for seed in HELD_OUT]
@@ -95,6 +97,7 @@ def found_balls(weights: str) -> int:
     return count
 
 
+@pytest.mark.lengthy
 def test_with_the_frame_before_more_balls_are_among_the_best_three() -> None:
     assert found_balls("moving") > found_balls("eight_bits") + 1  # 12 and 7
 

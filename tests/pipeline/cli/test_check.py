@@ -136,6 +136,7 @@ def test_a_run_of_another_graph_is_no_profile(tmp_path: Path) -> None:
     assert done.stdout == ""
 
 
+@pytest.mark.lengthy
 def test_a_recorded_run_has_the_pools_that_were_planned_and_tells_the_rest(
     tmp_path: Path,
 ) -> None:

@@ -214,6 +214,7 @@ def test_attach_watches_until_ctrl_c_and_the_graph_goes_on(graph: Path, name: st
     assert command("stop", name).returncode == 0
 
 
+@pytest.mark.lengthy
 def test_stop_and_down_also_end_a_run_in_the_foreground(graph: Path, name: str) -> None:
     for verb in ("stop", "down"):
         run = subprocess.Popen([*FOVEA, "run", str(graph)], stdout=subprocess.PIPE, text=True)

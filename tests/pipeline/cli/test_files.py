@@ -168,6 +168,7 @@ def test_a_report_that_does_not_fit_is_printed_and_the_old_one_stays(
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     "words", [("--inline",), ("--clock", "lockstep")], ids=["in line", "as processes"]
 )

@@ -54,6 +54,7 @@ def test_the_generated_graph_runs_as_processes(kind: str, here: Path) -> None:
     assert "10 frames" in said
 
 
+@pytest.mark.lengthy
 def test_the_generated_task_is_evaluated_by_its_file(here: Path) -> None:
     create("task", "my_part", here)
 

@@ -81,6 +81,7 @@ def test_nodes_that_one_depends_on_come_nearest_first_and_without_itself() -> No
     assert before(plan, "capture")[0] == "dispatch"
 
 
+@pytest.mark.lengthy
 def test_running_shows_the_advice_first() -> None:
     words = ["run", str(GRAPHS / "tracking.yaml"), "--inline", "--frames", "1"]
     command = [sys.executable, "-m", "pipeline.entry", *words]

@@ -129,6 +129,7 @@ def test_the_main_job_needs_no_extra(words: list[str], tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.lengthy
 def test_a_graph_runs_without_any_extra(tmp_path: Path) -> None:
     done = python(MISSING, "run", "tracking", "--inline", "--frames", "2", cwd=tmp_path)
 

@@ -16,6 +16,7 @@ from tests.commands import command
 from tests.sample_graphs import CHAIN, together
 
 
+@pytest.mark.lengthy
 def test_every_network_is_measured_and_the_rest_counted() -> None:
     done = command("tune", "tracking", "--frames", "5", "--threads", "1", "--rate", "1", "--json")
 

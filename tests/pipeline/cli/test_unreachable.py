@@ -4,6 +4,8 @@ import json
 import secrets
 from pathlib import Path
 
+import pytest
+
 from pipeline.fleet.hosts import Hosts
 from pipeline.fleet.remembered import forget, remember, remembered
 from tests.pipeline.cli.test_detached import fovea
@@ -17,6 +19,7 @@ def here(label: str) -> str:
     return f"unixsock-stream//tmp/fovea-nobody-{secrets.token_hex(3)}-{label}.sock"
 
 
+@pytest.mark.lengthy
 def test_what_cannot_be_asked_hides_nothing_that_runs(tmp_path: Path) -> None:
     hosts = {label: here(label) for label in NODES.values()}
     remember("silent", Hosts(hosts, "", NODES))

@@ -101,6 +101,7 @@ def name(tmp_path_factory: pytest.TempPathFactory, elsewhere: Path) -> Iterator[
     assert nodes == ("ticker", "bright")
 
 
+@pytest.mark.lengthy
 def test_commands_work_from_a_folder_without_the_operators(elsewhere: Path, name: str) -> None:
     rate = fovea("hz", name, "bright", "--duration-s", "5", "--json", cwd=elsewhere)
     heard = fovea("echo", name, "bright", "--count", "2", "--json", cwd=elsewhere)

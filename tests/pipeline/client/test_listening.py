@@ -101,6 +101,7 @@ def test_the_rate_of_an_output_that_nobody_reads_is_its_own(tmp_path: Path) -> N
     assert sent[0] / 2 < hertz < 2 * sent[0], (lines, sent)  # not measured over the same time
 
 
+@pytest.mark.lengthy
 def test_echo_goes_on_across_a_restart_and_a_swap(tmp_path: Path) -> None:
     plan, lines = plan_of(tmp_path, UNREAD), list[str]()
 
@@ -162,6 +163,7 @@ def started(*words: str) -> "subprocess.Popen[str]":
     )
 
 
+@pytest.mark.lengthy
 def test_taps_that_are_stopped_or_killed_cost_the_graph_nothing_and_leave_nothing(
     tmp_path: Path,
 ) -> None:

@@ -65,6 +65,7 @@ def jumping(short_path: Path) -> Path:
     return library
 
 
+@pytest.mark.lengthy
 def test_jumps_of_the_wall_clock_do_not_affect_a_graph(jumping: Path, tmp_path: Path) -> None:
     path = tmp_path / "graph.yaml"
     path.write_text(f"name: clock-{secrets.token_hex(3)}\n{together(LOOP, 'pair', 'steer')}")

@@ -101,6 +101,7 @@ def test_children_that_outlive_their_nodes_hold_nobody_up_and_are_ended(tmp_path
         until(lambda pids=pids: all(ended(pid) for pid in pids), what=kind)  # type: ignore[misc]
 
 
+@pytest.mark.lengthy
 def test_what_nodes_started_ends_with_the_run(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, unruly_parts(tmp_path, {kind: kind for kind in KINDS}))
     pids: dict[str, list[int]] = {}
@@ -134,6 +135,7 @@ def test_what_nodes_of_a_killed_supervisor_started_ends_with_them_or_with_the_ne
         until(lambda each=each: all(ended(pid) for pid in each), what=kind)  # type: ignore[misc]
 
 
+@pytest.mark.lengthy
 def test_what_a_killed_node_started_ends_however_it_tried_to_leave(tmp_path: Path) -> None:
     killers = {"ours": "the supervisor", "theirs": "another"}
     kinds = {f"{kind}_{who}": kind for kind in ("escape", "escape_twice") for who in killers}

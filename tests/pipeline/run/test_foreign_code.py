@@ -72,6 +72,7 @@ def done(supervisor: Supervisor, order: Order) -> Result:
     return results[0]
 
 
+@pytest.mark.lengthy
 def test_what_is_added_and_swapped_in_is_never_imported_by_the_supervisor(
     tmp_path: Path, theirs: Path
 ) -> None:
@@ -119,6 +120,7 @@ def test_an_addition_whose_import_never_ends_delays_neither_frames_nor_the_end(
     assert handled(supervisor, "count") > 0
 
 
+@pytest.mark.lengthy
 def test_an_edited_file_of_code_that_nodes_alone_have_imported_is_imported_anew(
     tmp_path: Path, theirs: Path
 ) -> None:

@@ -80,6 +80,7 @@ def test_a_log_is_bounded_and_holds_what_libraries_print(tmp_path: Path, name: s
     assert log.read_text().endswith("line 99 of many\na library's own words\n")
 
 
+@pytest.mark.lengthy
 def test_on_a_full_disk_nodes_break_are_restarted_and_lose_only_log_lines(
     graph: Path,
 ) -> None:
@@ -95,6 +96,7 @@ def test_on_a_full_disk_nodes_break_are_restarted_and_lose_only_log_lines(
     assert done.stdout.endswith("failure: \n")
 
 
+@pytest.mark.lengthy
 def test_in_full_shared_memory_a_graph_that_runs_goes_on(graph: Path) -> None:
     done = with_small_mounts({MEMORY: "3m"}, "-c", IN_FULL_FOLDER, str(graph), str(MEMORY))
 

@@ -29,6 +29,7 @@ def log_of(graph: str) -> Path:
     return folder_of(graph) / "work.log"
 
 
+@pytest.mark.lengthy
 @given(LINES, st.lists(LINES, max_size=5), st.integers(1, 3))
 def test_who_reads_on_gets_every_line_once(
     graph: str, first: list[str], later: list[list[str]], count: int

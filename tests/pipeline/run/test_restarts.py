@@ -26,6 +26,7 @@ from tests.sample_graphs import (
 )
 
 
+@pytest.mark.lengthy
 def test_killed_operators_come_back_and_the_accounts_still_add_up(tmp_path: Path) -> None:
     victims = ("ticker", "work", "pair", "steer")
 
@@ -101,6 +102,7 @@ def test_a_node_that_shall_never_restart_stays_away_and_the_graph_goes_on(tmp_pa
     assert "overrun" not in edge(report, "glance.frame")["dropped"]
 
 
+@pytest.mark.lengthy
 def test_a_node_that_dies_too_often_ends_the_run(tmp_path: Path) -> None:
     text = together(LOOP, "pair", "steer")
     text = text.replace("  work:\n", "  work:\n    restart: {most: 2, backoff_s: 0.01}\n")

@@ -66,6 +66,7 @@ def test_a_start_that_fails_half_way_leaves_nothing(
     assert not path_of(run_id).exists()
 
 
+@pytest.mark.lengthy
 def test_a_supervisor_that_cannot_come_up_holds_no_name_and_no_descriptor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -307,6 +307,7 @@ def test_a_terminal_that_vanishes_ends_the_run_and_leaves_nothing(tmp_path: Path
     assert_nothing_left(name, run_id, pids)
 
 
+@pytest.mark.lengthy
 def test_a_client_that_is_frozen_does_not_delay_the_end(tmp_path: Path) -> None:
     graph = written(tmp_path, PAIRED)
     name = name_of(graph)

@@ -85,6 +85,7 @@ def test_no_frame_is_lost_and_none_comes_twice(tmp_path: Path) -> None:
     assert report["restarts"] == {}
 
 
+@pytest.mark.lengthy
 def test_at_most_one_frame_is_left_out_where_the_latest_counts(tmp_path: Path) -> None:
     results: Results = []
     orders = [order("work", probation=2) for _ in range(3)]
@@ -140,6 +141,7 @@ def test_a_shadow_run_reports_how_the_answers_differ(tmp_path: Path) -> None:
     assert_accounts_add_up(report)
 
 
+@pytest.mark.lengthy
 def test_a_part_that_fails_its_probation_gives_way_to_the_old_one(tmp_path: Path) -> None:
     results: Results = []
     failures = {
@@ -212,6 +214,7 @@ def test_a_successor_that_is_killed_loses_nothing(tmp_path: Path) -> None:
     assert edge(report, "work.frame")["delivered"] == exposed(report)
 
 
+@pytest.mark.lengthy
 def test_a_successor_that_does_not_fit_is_refused_and_the_graph_goes_on(tmp_path: Path) -> None:
     results: Results = []
     refusals = {
@@ -248,6 +251,7 @@ def test_a_swap_of_a_missing_node_is_refused_in_one_sentence(tmp_path: Path) -> 
             supervisor.control.take(SwapOrder(node="work"), lambda _: None)
 
 
+@pytest.mark.lengthy
 def test_joined_inputs_and_latest_edges_keep_their_accounts(tmp_path: Path) -> None:
     results: Results = []
     orders = [order(node, probation=10) for node in ("pair", "steer", "work")]
@@ -274,6 +278,7 @@ def test_in_lockstep_a_swapped_part_changes_no_byte(tmp_path: Path) -> None:
     assert one["schedule_sha256"] == plain["schedule_sha256"]
 
 
+@pytest.mark.lengthy
 def test_a_source_or_a_node_that_shares_a_process_is_stopped_and_started(tmp_path: Path) -> None:
     results: Results = []
     text = together(LOOP, "work", "pair", "steer")

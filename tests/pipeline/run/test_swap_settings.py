@@ -31,6 +31,7 @@ GLANCE = """\
 Results = list[Result]
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("group", ["", "    group: hand\n"])
 def test_a_swap_keeps_live_changes_except_where_its_order_sets_another_value(
     tmp_path: Path, group: str

@@ -74,6 +74,7 @@ KEPT_BACK = {
 }
 
 
+@pytest.mark.lengthy
 def test_a_state_that_cannot_be_carried_over_leaves_the_old_part_at_work(tmp_path: Path) -> None:
     text = "nodes:\n" + GRAPH.partition("nodes:\n")[2].partition("  work:")[0].format()
     for cls in KEPT_BACK:

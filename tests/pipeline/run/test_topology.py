@@ -69,6 +69,7 @@ def operating(
     return during
 
 
+@pytest.mark.lengthy
 def test_a_consumer_is_added_and_removed_and_the_others_lose_no_frame(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOSSLESS)
     lost: list[int] = []
@@ -147,6 +148,7 @@ def test_what_the_loader_would_refuse_is_refused(
     assert said in str(refusal.value)
 
 
+@pytest.mark.lengthy
 def test_an_addition_that_does_not_start_leaves_the_graph_as_it_was(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOSSLESS)
     text = SECOND.replace("Count", "Stillborn")

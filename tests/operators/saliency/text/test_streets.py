@@ -75,6 +75,7 @@ def test_a_photograph_may_lie_behind_the_words_and_its_own_texts_may_be_found_or
     assert backdrop(np.random.default_rng(2)).std() > 5
 
 
+@pytest.mark.lengthy
 def test_kept_pictures_are_drawn_once_and_every_other_one_lies_on_a_photograph(
     tmp_path: Path,
 ) -> None:
