@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.saliency.augment import MOST_BALL_PX, clutter, cut, paste
+from operators.saliency.corners import with_corner
 from operators.saliency.example import ANYONE, BALL, CONTEXT_PX, NAMES, Example, resized
 from operators.saliency.marks import with_marks
 from operators.saliency.movement import in_motion, roughened
@@ -68,6 +69,7 @@ def augmented(
     example = paste_balls(example, bank, rng, near=roi)
     if rng.random() < 0.15:
         example = replace(example, picture=clutter(example, rng))
+    example = with_corner(example, rng, ROI_BALL_PX if roi else MOST_BALL_PX)
     example = paste(example, rng, ROI_BALL_PX if roi else MOST_BALL_PX)
     picture = recolour(example.picture, rng)
     if rng.random() < 0.15:

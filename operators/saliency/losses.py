@@ -154,20 +154,24 @@ def _counted(batch: Batch, others: Tensor, cells: Tensor) -> Tensor:
     return counted
 
 
-def losses(net_output: Raw, batch: Batch) -> dict[str, Tensor]:
-    """All parts, weighted; their sum is what training lowers."""
-    height, width = (side * BALL_STRIDE for side in net_output.heat.shape[2:])
-    device = net_output.heat.device
-    centres = torch.cat([cell_centres(height // s, width // s, s, device) for s in STRIDES])
-    counts = [(height // s) * (width // s) for s in STRIDES]
-    reach = torch.cat(
-        [torch.full((n,), s * 0.4, device=device) for n, s in zip(counts, STRIDES, strict=True)]
-    )
-    people, boxes = people_loss(net_output, batch, centres, reach)
+def losses(raw: Raw, batch: Batch, only: str = "") -> dict[str, Tensor]:
+    """All parts, weighted; their sum is what training lowers. `only`: those of one head."""
+    parts: dict[str, Tensor] = {}
     balls = balls_of(batch) & ~batch.ignored
-    heat, place = ball_loss(net_output.heat, net_output.ball, batch, balls)
-    parts = {"people": people, "boxes": 2.0 * boxes, "heat": heat, "place": 2.0 * place}
-    if net_output.moving is not None:
-        heat, place = ball_loss(*net_output.moving, batch, balls & has_moved(batch))
+    if not only:
+        height, width = (side * BALL_STRIDE for side in raw.heat.shape[2:])
+        device = raw.heat.device
+        centres = torch.cat([cell_centres(height // s, width // s, s, device) for s in STRIDES])
+        counts = [(height // s) * (width // s) for s in STRIDES]
+        reach = torch.cat(
+            [torch.full((n,), s * 0.4, device=device) for n, s in zip(counts, STRIDES, strict=True)]
+        )
+        people, boxes = people_loss(raw, batch, centres, reach)
+        parts |= {"people": people, "boxes": 2.0 * boxes}
+    if only in ("", "ball"):
+        heat, place = ball_loss(raw.heat, raw.ball, batch, balls)
+        parts |= {"heat": heat, "place": 2.0 * place}
+    if raw.moving is not None and only in ("", "moving"):
+        heat, place = ball_loss(*raw.moving, batch, balls & has_moved(batch))
         parts |= {"moving heat": heat, "moving place": 2.0 * place}
     return parts

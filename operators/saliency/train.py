@@ -10,7 +10,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from operators.saliency.training_settings import TrainSettings
+from operators.saliency.training_settings import HEADS, TrainSettings
 from operators.training.command_line import GOES_ON, add_numbers, in_a_sentence
 from operators.training.ranges import DEVICES
 from operators.training.splits import HELD_OUT
@@ -41,7 +41,7 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:
         help="add a head for a moving ball, which reads what changed since the frame before",
     )  # fmt: skip
     parser.add_argument(
-        "--moving-only", action="store_true", help="train that head and leave the rest as it is"
+        "--only", default="", choices=HEADS, help="train this head and leave the rest as it is"
     )
     parser.add_argument("--compiled", action="store_true", help="compile first: needs g++")
     parser.add_argument("--device", default="auto", help=DEVICES)

@@ -39,7 +39,6 @@ from pipeline.fleet.placement import file_digest
 PHASES = Phases("draw scenes", "train")
 # pictures of `width_px` over which an exported network is measured before training goes on
 CALIBRATION = 64
-MOVING_PARTS = ("moving heat", "moving place")  # of the loss
 TRAIN_SEEDS = 10_000  # first seed of the training scenes; evaluate.py uses others
 
 
@@ -52,7 +51,7 @@ class Run(checkpoint.Progress):
         self.net = network(settings).to(self.device, memory_format=torch.channels_last)
         self.mean = network(settings).to(self.device)
         self.mean.load_state_dict(self.net.state_dict())
-        learning = self.net.moving if settings.moving_only else self.net
+        learning = self.net if not settings.only else self.net.get_submodule(settings.only)
         self.optimiser = torch.optim.AdamW(
             groups(learning, settings.decay), lr=settings.rate, betas=(0.9, 0.99)
         )
@@ -83,13 +82,14 @@ def network(settings: TrainSettings) -> DetectorNet:
     return DetectorNet(difference=settings.difference)
 
 
-def learn(net: DetectorNet, *, moving_only: bool) -> None:
-    """Let a network learn, or its head for a moving ball alone: the rest, norms too, stays."""
-    net.train(not moving_only)
-    net.requires_grad_(not moving_only)
-    if net.moving is not None:
-        net.moving.train()
-        net.moving.requires_grad_(True)
+def learn(net: DetectorNet, only: str = "") -> None:
+    """Let a network learn, or one of its heads alone: the rest, norms too, stays as it is."""
+    net.train(not only)
+    net.requires_grad_(not only)
+    if only:
+        head = net.get_submodule(only)
+        head.train()
+        head.requires_grad_(True)
 
 
 def drawn(settings: TrainSettings) -> list[Path]:
@@ -146,7 +146,7 @@ def train(settings: TrainSettings) -> Run:
     )  # fmt: skip
     source = source_of(settings)
     run.begin(source)
-    learn(run.net, moving_only=settings.moving_only)
+    learn(run.net, settings.only)
     forward = torch.compile(run.net) if settings.compiled else run.net
     started = time.monotonic() - run.elapsed_s
     log = settings.out / "log.csv"
@@ -181,9 +181,7 @@ def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
         group["lr"] = warmed_cosine(run.step, peak=s.rate, warmup=s.warmup, steps=s.steps)
     with torch.autocast(run.device.type, torch.bfloat16):
         raw = forward(batch.inputs(run.net.channels))
-    parts = losses(raw, batch)
-    if s.moving_only:
-        parts = {name: part for name, part in parts.items() if name in MOVING_PARTS}
+    parts = losses(raw, batch, s.only)
     run.optimiser.zero_grad(set_to_none=True)
     torch.stack(list(parts.values())).sum().backward()
     torch.nn.utils.clip_grad_norm_(run.net.parameters(), 10.0)

@@ -8,6 +8,7 @@ from operators.training.ranges import above_zero, at_least, known_device
 from operators.training.splits import HELD_OUT
 from pipeline.errors import SettingsError
 
+HEADS = ("ball", "moving")  # that can be trained alone
 LEAST_PX = 256  # in a smaller input a ball of a ROI is hardly larger than in a context
 MOST_PX = 2048  # a batch of larger pictures would not fit into memory
 
@@ -37,7 +38,7 @@ class TrainSettings:
     minutes: float = 120.0
     compiled: bool = False
     difference: bool = False  # add a head for a moving ball that gets what changed
-    moving_only: bool = False  # train that head; all else stays as it was to begin with
+    only: str = ""  # the head for a "ball" or the "moving" one; all else stays as it was
     raw_share: float = 0.0  # share of the pictures that are seen through a raw sensor
     roi_share: float = 0.0  # share of the stills' pictures that show what a ROI does
     init: Path | None = None  # checkpoint or .onnx to begin with instead of random weights
@@ -66,9 +67,12 @@ class TrainSettings:
         for name in ("roi_share", "rois"):
             if getattr(self, name) and self.difference:  # a ROI has no frame before it
                 raise SettingsError(f"{name}: expected no difference, got one")
-        if self.moving_only and not (self.difference and self.init):
-            lacks = "weights to begin with (init)" if self.difference else "difference"
-            raise SettingsError(f"moving_only: expected {lacks} as well, got none")
+        if self.only not in ("", *HEADS):
+            raise SettingsError(f"only: expected one of {', '.join(HEADS)}, got {self.only[:40]!r}")
+        if self.only == "moving" and not self.difference:
+            raise SettingsError("only: expected a difference for the moving head, got none")
+        if self.only and not self.init:
+            raise SettingsError("only: expected weights to begin with (init) as well, got none")
 
     @property
     def widths_px(self) -> tuple[int, ...]:

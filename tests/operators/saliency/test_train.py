@@ -18,6 +18,7 @@ from operators.saliency.example import INPUT_PX, NAMES
 from operators.saliency.saliency import SaliencySettings
 from operators.saliency.train import TrainSettings, asked, main
 from operators.saliency.training_run import Run, advance, drawn, train
+from operators.saliency.training_settings import HEADS
 from pipeline import SettingsError
 from pipeline.errors import DriverError
 from tests.operators.training.elsewhere import PLACE, pretended
@@ -167,19 +168,18 @@ def test_a_training_of_larger_inputs_takes_its_steps(tmp_path: Path) -> None:
     assert train(given).step == 2
 
 
-def test_a_training_of_the_moving_ball_alone_leaves_the_rest_as_it_was(
-    tmp_path: Path,
-) -> None:
+@pytest.mark.parametrize("head", HEADS)
+def test_a_head_trained_alone_leaves_the_rest_as_it_was(head: str, tmp_path: Path) -> None:
     data = (footage(tmp_path / "data", 90),)
     given = replace(
         settings_in(tmp_path), data=data, scenes=0, batch=2, steps=2, init=SHIPPED,
-        difference=True, moving_only=True, rate=0.01, warmup=1, out=tmp_path / "run",
+        difference=True, only=head, rate=0.01, warmup=1, out=tmp_path / "run",
     )  # fmt: skip
     untouched, run = Run(replace(given, steps=1, out=tmp_path / "none")), Run(given)
     source = training.source_of(given)
     untouched.begin(source)
     run.begin(source)
-    training.learn(run.net, moving_only=True)
+    training.learn(run.net, head)
 
     for _ in range(2):
         advance(run, run.net, batch())
@@ -189,10 +189,11 @@ def test_a_training_of_the_moving_ball_alone_leaves_the_rest_as_it_was(
         wanted = untouched.net.eval()(batch().inputs(4))
     assert torch.equal(found.features, wanted.features)
     assert torch.equal(found.scores, wanted.scores)
-    assert torch.equal(found.heat, wanted.heat)
     assert found.moving is not None
     assert wanted.moving is not None
-    assert not torch.allclose(found.moving[0], wanted.moving[0], atol=1e-3)
+    heats = {"ball": (found.heat, wanted.heat), "moving": (found.moving[0], wanted.moving[0])}
+    assert not torch.allclose(*heats.pop(head), atol=1e-3)
+    assert torch.equal(*heats.popitem()[1])
 
 
 def test_a_network_that_reads_the_difference_says_so_in_its_file(tmp_path: Path) -> None:
@@ -210,11 +211,14 @@ def test_a_network_that_reads_the_difference_says_so_in_its_file(tmp_path: Path)
     assert detector.channels == 64
 
 
-def test_the_moving_ball_alone_is_not_trained_from_nothing(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match=r"^moving_only: expected weights to begin with"):
-        replace(settings_in(tmp_path), moving_only=True, difference=True)
-    with pytest.raises(SettingsError, match=r"^moving_only: expected difference as well"):
-        replace(settings_in(tmp_path), moving_only=True, init=SHIPPED)
+def test_a_head_is_not_trained_alone_from_nothing_and_no_other_part_is(tmp_path: Path) -> None:
+    given = settings_in(tmp_path)
+    with pytest.raises(SettingsError, match=r"^only: expected weights to begin with"):
+        replace(given, only="ball")
+    with pytest.raises(SettingsError, match=r"^only: expected a difference for the moving head"):
+        replace(given, only="moving", init=SHIPPED)
+    with pytest.raises(SettingsError, match=r"^only: expected one of ball, moving, got 'neck'"):
+        replace(given, only="neck", init=SHIPPED)
 
 
 def test_without_a_checkpoint_exporting_is_refused(
