@@ -132,3 +132,35 @@ def best_balls(weights: str) -> int:
 
 def test_what_a_roi_shows_is_read_best_by_the_detector_for_it() -> None:
     assert best_balls("roi") > best_balls("eight_bits") + 5  # 15 and 4
+
+
+def test_the_head_for_balls_at_corners_leaves_people_and_features_as_they_were() -> None:
+    picture = context_of(70_001, 120)
+
+    seen = {name: Detector(settings_of(name)).look(picture) for name in ("eight_bits", "corners")}
+
+    (one, _, features), (other, _, same) = seen["eight_bits"], seen["corners"]
+    assert features is not None
+    assert same is not None
+    ball = Detector(settings_of("corners")).names.index("ball")
+    people, again = one.classes != ball, other.classes != ball
+    apart = np.linalg.norm(
+        centres(one.boxes[people])[:, None] - centres(other.boxes[again])[None], axis=2
+    )
+    assert people.sum() > 10
+    assert (apart.min(1) < 2).all()  # pixels of the input
+    assert (apart.min(0) < 2).all()
+    assert np.corrcoef(features.ravel(), same.ravel())[0, 1] > 0.98
+
+
+def settings_of(weights: str) -> SaliencySettings:
+    return SaliencySettings(
+        weights=weights, input_px=(736, 416), class_confidence={"ball": 0.02}, threads=1
+    )
+
+
+def context_of(seed: int, index: int) -> NDArray[np.uint8]:
+    scene = SoccerScene(size_px=(1920, 1080), seed=seed)
+    pixels = cv2.resize(scene.picture(index), (480, 270), interpolation=cv2.INTER_AREA)
+    scene.close()
+    return np.asarray(pixels, np.uint8)
