@@ -1,6 +1,6 @@
 # Two commands do everything on a machine with Python 3.11: `make demo` and `make test`.
 #
-#   make test          what every change has to pass: needs no footage, no GPU, no torch, no network
+#   make test          what is run after every edit: needs no footage, no GPU, no torch, no network
 #   make test-lengthy  the tests that take seconds of a processor each: whole graphs, evaluations
 #   make test-hosts    the tests that deploy graphs over several hosts, on this one: two minutes
 #   make test-slow     the tests that take minutes, and a search for inputs that break something
@@ -70,7 +70,8 @@ test-slow: $(VENV)/.installed-dev
 
 # the robot's tests, which are skipped without its extra; MuJoCo draws by libosmesa6 of the system
 test-robot: $(VENV)/.installed-dev $(VENV)/.installed-manipulation
-	$(BIN)/python -m pytest -n 2 --dist loadfile tests/drivers/scenes/test_insertion.py \
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not (slow or hosts or hardware or footage)" \
+		tests/drivers/scenes/test_insertion.py \
 		tests/graphs/test_manipulation.py tests/operators/manipulation tests/bench/test_manipulation.py \
 		tests/operators/saliency/objects
 

@@ -90,6 +90,7 @@ def test_the_wheel_contains_every_module_graph_network_and_type_marker(wheel: Pa
     assert not [name for name in inside if name.startswith((api, "tests/", "build/"))]
 
 
+@pytest.mark.lengthy
 def test_the_wheel_requires_what_running_a_graph_needs_and_has_extras_for_the_rest(
     wheel: Path,
 ) -> None:
@@ -103,6 +104,7 @@ def test_the_wheel_requires_what_running_a_graph_needs_and_has_extras_for_the_re
     assert not always & set(extras)
 
 
+@pytest.mark.lengthy
 def test_the_version_of_a_wheel_includes_its_commit(
     source: Path, installed: Path, tmp_path: Path
 ) -> None:
@@ -129,6 +131,7 @@ def test_a_source_distribution_contains_the_commit_for_wheels_built_from_it(
     assert (folder / "pipeline" / "recorded_commit.py").is_file()
 
 
+@pytest.mark.lengthy
 def test_the_shipped_graph_is_found_and_fits_from_any_folder(
     installed: Path, tmp_path: Path
 ) -> None:
@@ -139,6 +142,7 @@ def test_the_shipped_graph_is_found_and_fits_from_any_folder(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.lengthy
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["--inline", "--clock=lockstep"])
 def test_the_shipped_graph_runs_from_any_folder(installed: Path, tmp_path: Path, way: str) -> None:
@@ -149,6 +153,7 @@ def test_the_shipped_graph_runs_from_any_folder(installed: Path, tmp_path: Path,
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.lengthy
 @pytest.mark.slow
 def test_a_script_runs_a_shipped_example(installed: Path, tmp_path: Path) -> None:
     script = (

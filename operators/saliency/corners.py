@@ -1,8 +1,8 @@
 """Draw corners of a pitch: an example -> one with a pole, lines and perhaps a ball at its foot.
 
 At a corner kick the ball lies still on the line, at the foot of a pole. In a context both are one
-bright pixel, and stills that show it are few. Every second pole has no ball, so that a pole alone
-is not taken for one.
+bright pixel, and stills that show it are few. At least every second pole has no ball, so that a
+pole alone is not taken for one.
 """
 
 from dataclasses import replace
@@ -17,7 +17,7 @@ from operators.saliency.pasting import end_of_grass, is_grass, with_object
 
 CORNER_SHARE = 0.5  # of the pictures with people
 FAR_SHARE = 0.5  # of the corners: at the far end of the grass
-BALL_SHARE = 0.5  # of the corners
+BALL_SHARE = 0.5  # of the corners, less those whose ball would leave the picture
 # sizes over a person's height: a pole of 1.5 m, 3 to 7 cm thick; a line of 12 cm, seen flat
 POLE, THICK, LINE, FLAG = (0.8, 1.1), (0.018, 0.045), (0.02, 0.05), (0.15, 0.3)
 REACH = (2.0, 12.0)  # of a line
@@ -29,10 +29,10 @@ Picture = NDArray[np.uint8]  # (h, w, 3) RGB
 
 
 def with_corner(example: Example, rng: np.random.Generator, most_ball_px: float) -> Example:
-    """Return the example with a corner where people stand, or as it is.
+    """Return the example, a picture of a context's size or larger, with a corner, or as it is.
 
     A ball there lies at the pole's foot, before or behind it, or on one of the lines, and is at
-    most `most_ball_px` wide.
+    most `most_ball_px` wide. Lines and pole are drawn over whoever stands there.
     """
     people = example.boxes[(example.labels != BALL_LABEL) & ~example.ignored]
     if not len(people) or rng.random() > CORNER_SHARE:
@@ -77,12 +77,14 @@ def _foot(
     y = rng.uniform(low, high)
     if rng.random() < FAR_SHARE:
         grass = is_grass(cv2.cvtColor(picture[:, x : x + 1], cv2.COLOR_RGB2HSV))
-        y = end_of_grass(grass[:, 0], tall) + tall * rng.uniform(0.05, 0.5)
+        edge = end_of_grass(grass[:, 0], tall)
+        if edge < high:  # otherwise this column shows no grass behind anybody
+            y = edge + tall * rng.uniform(0.05, 0.5)
     return float(x), float(np.clip(y, 4, height - 4))
 
 
 def _slopes(rng: np.random.Generator) -> tuple[float, float]:
-    """Directions of the two lines, radians: one to the left and one to the right, or both down."""
+    """Directions of two lines, radians: one right and one left, mostly both up or both down."""
     first, second = rng.uniform(0.02, STEEPEST, 2).tolist()
     side = -1.0 if rng.random() < 0.5 else 1.0
     return (side * first, np.pi - side * second * rng.uniform(-0.3, 1.0))
@@ -130,7 +132,7 @@ def _line(
 def _filled(
     picture: Picture, corners: Array, colour: float | NDArray[np.float64], cover: float
 ) -> None:
-    """A polygon (n, 2) laid over the picture, as an exposure averages it."""
+    """A polygon (n, 2) laid over the picture, averaged in its pixels; a quarter of one wider."""
     height, width = picture.shape[:2]
     low = np.clip(np.floor(corners.min(0)).astype(int) - 1, 0, (width, height))
     far = np.clip(np.ceil(corners.max(0)).astype(int) + 1, 0, (width, height))

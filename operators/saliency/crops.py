@@ -41,7 +41,7 @@ def augmented(
     still: Example, bank: Bank, rng: np.random.Generator, size_px: tuple[int, int] = CONTEXT_PX,
     *, roi: bool = False,
 ) -> Example:  # fmt: skip
-    """Crop, mirror, add people and balls of other stills, recolour kits, litter, degrade.
+    """Crop, mirror, add people, balls and corners, recolour kits, litter, degrade.
 
     For a picture larger than the context most are of its size and then enlarged, as the loop
     does it; the others show as much of the still as a larger context does. With `roi` it shows

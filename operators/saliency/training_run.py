@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.utils.data import Dataset
 
 from operators.saliency.data import Batch, Mixed, Real, Rendered, collate, rendered_in, stream
@@ -51,9 +51,10 @@ class Run(checkpoint.Progress):
         self.net = network(settings).to(self.device, memory_format=torch.channels_last)
         self.mean = network(settings).to(self.device)
         self.mean.load_state_dict(self.net.state_dict())
-        learning = self.net if not settings.only else self.net.get_submodule(settings.only)
         self.optimiser = torch.optim.AdamW(
-            groups(learning, settings.decay), lr=settings.rate, betas=(0.9, 0.99)
+            groups(learning(self.net, settings.only), settings.decay),
+            lr=settings.rate,
+            betas=(0.9, 0.99),
         )
         parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
         real = [file for folder in folders(settings) for file in folder.files]
@@ -82,14 +83,15 @@ def network(settings: TrainSettings) -> DetectorNet:
     return DetectorNet(difference=settings.difference)
 
 
+def learning(net: DetectorNet, only: str = "") -> nn.Module:
+    """The part that learns: the network, or one of its heads."""
+    return net.get_submodule(only) if only else net
+
+
 def learn(net: DetectorNet, only: str = "") -> None:
     """Let a network learn, or one of its heads alone: the rest, norms too, stays as it is."""
-    net.train(not only)
-    net.requires_grad_(not only)
-    if only:
-        head = net.get_submodule(only)
-        head.train()
-        head.requires_grad_(True)
+    net.eval().requires_grad_(False)
+    learning(net, only).train().requires_grad_(True)
 
 
 def drawn(settings: TrainSettings) -> list[Path]:

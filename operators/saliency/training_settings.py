@@ -8,7 +8,7 @@ from operators.training.ranges import above_zero, at_least, known_device
 from operators.training.splits import HELD_OUT
 from pipeline.errors import SettingsError
 
-HEADS = ("ball", "moving")  # that can be trained alone
+HEADS = ("ball", "moving")  # parts of the network that can be trained alone
 LEAST_PX = 256  # in a smaller input a ball of a ROI is hardly larger than in a context
 MOST_PX = 2048  # a batch of larger pictures would not fit into memory
 
@@ -38,7 +38,7 @@ class TrainSettings:
     minutes: float = 120.0
     compiled: bool = False
     difference: bool = False  # add a head for a moving ball that gets what changed
-    only: str = ""  # the head for a "ball" or the "moving" one; all else stays as it was
+    only: str = ""  # one of HEADS, which is trained while all else stays; empty: everything
     raw_share: float = 0.0  # share of the pictures that are seen through a raw sensor
     roi_share: float = 0.0  # share of the stills' pictures that show what a ROI does
     init: Path | None = None  # checkpoint or .onnx to begin with instead of random weights

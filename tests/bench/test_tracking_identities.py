@@ -54,6 +54,7 @@ def test_every_strategy_names_the_same_tracks_of_every_frame(played: Played) -> 
             assert len(set(tracks.ids.tolist())) == len(tracks.ids)
 
 
+@pytest.mark.lengthy
 def test_everybody_is_shown_in_every_frame_and_a_window_shows_fewer(played: Played) -> None:
     tracks = sum(len(each.ids) for each in played.tracks.values())
 
@@ -63,6 +64,7 @@ def test_everybody_is_shown_in_every_frame_and_a_window_shows_fewer(played: Play
     assert 0 < greedy < every
 
 
+@pytest.mark.lengthy
 def test_the_truth_names_every_track_of_a_person_by_its_id(played: Played) -> None:
     found = identified(played, "truth").tracks[FRAMES - 1]
 
@@ -71,6 +73,7 @@ def test_the_truth_names_every_track_of_a_person_by_its_id(played: Played) -> No
     assert all(i in people or i > 1000 for i in found.ids.tolist())
 
 
+@pytest.mark.lengthy
 def test_a_late_plan_is_that_of_an_earlier_frame(played: Played) -> None:
     windows = {}
     for delay in (0, 3):
@@ -86,6 +89,7 @@ def test_a_late_plan_is_that_of_an_earlier_frame(played: Played) -> None:
     assert len(set(windows[3][first + 4 :])) > 1
 
 
+@pytest.mark.lengthy
 def test_the_oracle_looks_at_people_where_they_are(played: Played) -> None:
     path = Knowing(played)
 
@@ -94,6 +98,7 @@ def test_the_oracle_looks_at_people_where_they_are(played: Played) -> None:
         assert (covered(played.truths[frame].boxes, window) >= 0.8).any()
 
 
+@pytest.mark.lengthy
 def test_a_graph_without_identity_has_its_defaults(played: Played) -> None:
     assert identity_of(played.stages) == IdentitySettings()
 

@@ -99,6 +99,7 @@ def test_a_cue_brings_a_tracker_to_what_the_policy_shows(clip: Clip, stages: Sta
     assert iou(answers[2], ball.boxes[2:3])[0, 0] > 0.9  # after two frames beside it
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("strategy", ["full", "oracle"])
 def test_without_a_cue_the_tracker_hears_no_policy_and_never_gives_up(
     clip: Clip, stages: Stages, strategy: str
@@ -132,6 +133,7 @@ def test_exposures_begin_at_the_start_and_hold_no_frame_before_it(
     assert bool(found) == (start + covers - 1 <= last)
 
 
+@pytest.mark.lengthy
 def test_in_coordinates_of_the_roi_the_box_moves_with_the_window(
     clip: Clip, stages: Stages
 ) -> None:

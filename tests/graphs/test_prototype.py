@@ -73,6 +73,7 @@ def test_plans_have_200_windows_and_come_every_180_frames(heard: dict[str, list[
     assert [plan.first_seq for plan in plans] == [37, 37 + INTERVAL, 37 + 2 * INTERVAL]
 
 
+@pytest.mark.lengthy
 def test_every_plan_is_recorded_as_a_burst_whose_windows_are_its_own(
     heard: dict[str, list[Any]],
 ) -> None:
@@ -84,6 +85,7 @@ def test_every_plan_is_recorded_as_a_burst_whose_windows_are_its_own(
             assert window == tuple(plan.windows[seq - plan.first_seq])
 
 
+@pytest.mark.lengthy
 def test_previews_have_no_region_and_come_every_fourth_frame(heard: dict[str, list[Any]]) -> None:
     previews = [seq for seq, _, size, _ in heard["capture.roi"] if not size]
 
@@ -91,6 +93,7 @@ def test_previews_have_no_region_and_come_every_fourth_frame(heard: dict[str, li
     assert previews[:10] == list(range(0, 40, 4))
 
 
+@pytest.mark.lengthy
 def test_tracks_hold_ten_frames_and_foresee_200(heard: dict[str, list[Any]]) -> None:
     tracks: list[Tracks] = heard["association.out"]
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from operators.saliency.augment import BALL_TO_PERSON, MOST_BALL_PX
-from operators.saliency.corners import CORNER_SHARE, REACH, with_corner
+from operators.saliency.corners import CORNER_SHARE, with_corner
 from operators.saliency.example import Example
 from tests.operators.saliency.lawn import BALL, still
 
@@ -32,7 +32,8 @@ def test_the_example_stays_and_a_ball_lies_in_the_picture(seed: int, tall_px: fl
     known = len(example.labels)
     assert np.array_equal(after.boxes[:known], example.boxes)
     for left, top, right, bottom in after.boxes[known:].tolist():
-        assert 1.8 - 1e-3 <= right - left <= min(1.15 * tall_px * BALL_TO_PERSON[1], MOST_BALL_PX)
+        most = min(1.15 * tall_px * BALL_TO_PERSON[1], MOST_BALL_PX)
+        assert 1.8 - 1e-3 <= right - left <= most + 1e-3
         assert right > 2
         assert left < 478
         assert bottom > 2
@@ -53,39 +54,50 @@ def test_half_of_the_pictures_get_a_corner_and_every_second_of_these_a_ball() ->
 
 def test_a_ball_lies_at_a_poles_foot_or_on_a_line() -> None:
     example = still(TALL_PX, (480, 270))
-    at_pole = 0
+    at_pole = on_line = 0
 
     balls = [after for after in corners(example) if len(after.labels) > len(example.labels)]
     for after in balls:
         left, top, right, bottom = after.boxes[-1]
-        x, y, wide = (left + right) / 2, (top + bottom) / 2, right - left
+        x, y, reach = int((left + right) / 2), int((top + bottom) / 2), int(right - left) + 3
         changed = (after.picture != example.picture).any(2)
-        around = changed[
-            max(0, int(y - wide)) : int(y + 2 * wide), max(0, int(x - wide)) : int(x + 2 * wide)
-        ]
-        assert around.any()
-        above = changed[max(0, int(y - 0.7 * TALL_PX)) : int(y), max(0, int(x) - 8) : int(x) + 8]
-        at_pole += bool(above.any(1).mean() > 0.8)
-        rows, columns = np.nonzero(changed)
-        assert np.ptp(columns) < 2.4 * REACH[1] * TALL_PX
-        assert len(rows)
+        above = changed[max(0, int(y - 0.7 * TALL_PX)) : int(top), max(0, x - 8) : x + 8]
+        low, high = max(0, y - 2 * reach), y + 2 * reach
+        beside = changed[low:high, x + reach : x + reach + 4].any(0).all()
+        other = changed[low:high, max(0, x - reach - 4) : max(0, x - reach)].any(0).all()
+        at_pole += bool(len(above) and above.any(1).mean() > 0.8)
+        on_line += bool(beside and other)
 
-    assert at_pole > 0.6 * len(balls)
+    assert 0.6 * len(balls) < at_pole < 0.95 * len(balls)
+    assert on_line > 0.8 * len(balls)
 
 
 def test_poles_stand_where_people_do_and_where_the_grass_ends() -> None:
     example = still(TALL_PX, (480, 270))
     example.picture[:60] = (40, 40, 60)  # boards
 
-    lowest = [
-        int(np.nonzero((after.picture != example.picture).any((1, 2)))[0].max())
-        for after in corners(example)
-        if after is not example
-    ]
-
     feet = float(example.boxes[example.labels != BALL, 3].max())
-    far = sum(row < feet - TALL_PX for row in lowest)
-    assert 0.15 < far / len(lowest) < 0.85
+    drawn = [after for after in corners(example) if after is not example]
+    lowest = [np.flatnonzero((a.picture != example.picture).any((1, 2))).max() for a in drawn]
+
+    far = sum(row < feet - TALL_PX for row in lowest) / len(drawn)
+    near = sum(row > feet - 0.4 * TALL_PX for row in lowest) / len(drawn)
+    assert far > 0.15
+    assert near > 0.25
+
+
+def test_where_nothing_is_grass_a_pole_stands_where_people_do() -> None:
+    example = still(TALL_PX, (480, 270))
+    example.picture[:] = (40, 40, 60)
+    feet = float(example.boxes[example.labels != BALL, 3].max())
+
+    for after in corners(example):
+        if after is example:
+            continue
+        changed = (after.picture != example.picture).any(2)
+        # a pole is at least .6 of a person's height, so that no pole stands at the lower border
+        columns = changed[int(feet + 2) : int(feet + 2 + 0.5 * TALL_PX)].all(0)
+        assert not columns.any()
 
 
 def test_a_picture_without_people_stays_as_it_is() -> None:

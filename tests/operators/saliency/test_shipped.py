@@ -11,6 +11,7 @@ from drivers.scenes.soccer import SoccerScene
 from drivers.source import Annotations
 from operators.saliency import Saliency, SaliencySettings
 from operators.saliency.detector import Detector
+from operators.saliency.example import NAMES
 from pipeline import Detections, Frame
 from pipeline.boxes import centres, iou
 from pipeline.testing import drive, header
@@ -70,7 +71,7 @@ def test_threads_and_a_grey_level_of_noise_change_little(threads: int, noise: in
 
 
 @pytest.mark.lengthy
-@pytest.mark.parametrize("weights", ["eight_bits", "larger", "crowds", "moving"])
+@pytest.mark.parametrize("weights", ["eight_bits", "corners", "larger", "crowds", "moving"])
 def test_in_eight_bits_as_many_players_are_found(answers: list[list[Answer]], weights: str) -> None:
     quantised = [recall(looked(seed, weights=weights)) for seed in HELD_OUT]
 
@@ -78,9 +79,9 @@ def test_in_eight_bits_as_many_players_are_found(answers: list[list[Answer]], we
 
 
 def found_balls(weights: str) -> int:
-    """In how many of 13 pictures, each with the one before it, the ball is among the best three."""
+    """In how many of 26 pictures, each with the one before it, the ball is among the best three."""
     scene, frames, truths = SoccerScene(size_px=(1920, 1080), seed=70_007), [], []
-    for index in (k + n for k in range(10, 400, 30) for n in range(2)):
+    for index in (k + n for k in range(10, 400, 15) for n in range(2)):
         pixels = cv2.resize(scene.picture(index), (480, 270), interpolation=cv2.INTER_AREA)
         seen = np.asarray(pixels, np.uint8)
         frames.append(Frame(header=header(index), pixels=seen, window=(0, 0, 1920, 1080)))
@@ -99,9 +100,10 @@ def found_balls(weights: str) -> int:
 
 @pytest.mark.lengthy
 def test_with_the_frame_before_more_balls_are_among_the_best_three() -> None:
-    assert found_balls("moving") > found_balls("eight_bits") + 1  # 12 and 7
+    assert found_balls("moving") > found_balls("eight_bits") + 1  # 25 and 21
 
 
+@pytest.mark.lengthy
 def test_every_detected_object_has_features(answers: list[list[Answer]]) -> None:
     for detections, _ in (answer for each in answers for answer in each):
         assert detections.names == ("player", "referee", "ball")
@@ -130,6 +132,7 @@ def best_balls(weights: str) -> int:
     return count
 
 
+@pytest.mark.lengthy
 def test_what_a_roi_shows_is_read_best_by_the_detector_for_it() -> None:
     assert best_balls("roi") > best_balls("eight_bits") + 5  # 15 and 4
 
@@ -142,15 +145,14 @@ def test_the_head_for_balls_at_corners_leaves_people_and_features_as_they_were()
     (one, _, features), (other, _, same) = seen["eight_bits"], seen["corners"]
     assert features is not None
     assert same is not None
-    ball = Detector(settings_of("corners")).names.index("ball")
-    people, again = one.classes != ball, other.classes != ball
-    apart = np.linalg.norm(
-        centres(one.boxes[people])[:, None] - centres(other.boxes[again])[None], axis=2
-    )
-    assert people.sum() > 10
-    assert (apart.min(1) < 2).all()  # pixels of the input
-    assert (apart.min(0) < 2).all()
     assert np.corrcoef(features.ravel(), same.ravel())[0, 1] > 0.98
+    sure = (one.scores > 0.6) & (one.classes != NAMES.index("ball"))
+    assert sure.sum() > 10
+    for box, score, which in zip(one.boxes[sure], one.scores[sure], one.classes[sure], strict=True):
+        best = int(iou(other.boxes, box[None])[:, 0].argmax())
+        assert float(iou(other.boxes[best : best + 1], box[None])[0, 0]) > 0.8
+        assert other.classes[best] == which
+        assert abs(other.scores[best] - score) < 0.1
 
 
 def settings_of(weights: str) -> SaliencySettings:

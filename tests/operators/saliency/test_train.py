@@ -96,6 +96,10 @@ def test_options_of_the_command_line_become_settings() -> None:
 
     assert settings == TrainSettings(data=(Path("a"), Path("b")), out=Path("c"))
     assert target is None
+    more = ["--data", "a", "--out", "c", "--init", "b.onnx", "--only", "ball"]
+    assert asked(more)[0].only == "ball"
+    with pytest.raises(SystemExit, match="2"):
+        asked([*more[:-1], "neck"])
 
 
 @pytest.mark.parametrize("step", [0, 1])
@@ -185,10 +189,11 @@ def test_a_head_trained_alone_leaves_the_rest_as_it_was(head: str, tmp_path: Pat
         advance(run, run.net, batch())
 
     with torch.no_grad():
-        found = run.net.eval()(batch().inputs(4))
-        wanted = untouched.net.eval()(batch().inputs(4))
+        found = run.mean.eval()(batch().inputs(4))  # what is exported
+        wanted = untouched.mean.eval()(batch().inputs(4))
     assert torch.equal(found.features, wanted.features)
     assert torch.equal(found.scores, wanted.scores)
+    assert torch.equal(found.boxes, wanted.boxes)
     assert found.moving is not None
     assert wanted.moving is not None
     heats = {"ball": (found.heat, wanted.heat), "moving": (found.moving[0], wanted.moving[0])}
