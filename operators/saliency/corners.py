@@ -18,6 +18,9 @@ from operators.saliency.pasting import end_of_grass, is_grass, with_object
 CORNER_SHARE = 0.5  # of the pictures with people
 FAR_SHARE = 0.5  # of the corners: at the far end of the grass
 BALL_SHARE = 0.5  # of the corners, less those whose ball would leave the picture
+LINE_SHARE = 0.25  # of the balls: on a line, away from the pole
+BEFORE_SHARE = 0.6  # of the balls: before the pole, others behind it
+LEAST_BALL_PX = 1.8
 # sizes over a person's height: a pole of 1.5 m, 3 to 7 cm thick; a line of 12 cm, seen flat
 POLE, THICK, LINE, FLAG = (0.8, 1.1), (0.018, 0.045), (0.02, 0.05), (0.15, 0.3)
 REACH = (2.0, 12.0)  # of a line
@@ -32,7 +35,7 @@ def with_corner(example: Example, rng: np.random.Generator, most_ball_px: float)
     """Return the example, a picture of a context's size or larger, with a corner, or as it is.
 
     A ball there lies at the pole's foot, before or behind it, or on one of the lines, and is at
-    most `most_ball_px` wide. Lines and pole are drawn over whoever stands there.
+    most `most_ball_px` wide. Lines and pole also cover people whose boxes they cross.
     """
     people = example.boxes[(example.labels != BALL_LABEL) & ~example.ignored]
     if not len(people) or rng.random() > CORNER_SHARE:
@@ -46,25 +49,35 @@ def with_corner(example: Example, rng: np.random.Generator, most_ball_px: float)
     for slope in slopes:
         end = _along(foot, slope, tall * rng.uniform(*REACH))
         _line(picture, foot, end, tall * rng.uniform(*LINE), chalk, cover)
-    if rng.random() > BALL_SHARE:
+    ball = _ball(foot, slopes, tall, rng) if rng.random() < BALL_SHARE else None
+    if ball is None or not _inside(ball[0], width, height):
         _pole(picture, foot, tall, rng)
         return replace(example, picture=picture)
-    diameter = float(np.clip(tall * rng.uniform(*BALL_TO_PERSON), 1.8, most_ball_px))
-    if rng.random() < 0.25:  # on a line, away from the pole
-        middle = _along(foot, slopes[int(rng.integers(2))], tall * rng.uniform(0.2, REACH[0]))
-    else:
-        aside, along = rng.normal(0, 0.6) * diameter, rng.normal(0, 0.25) * diameter
-        middle = foot[0] + aside, foot[1] - diameter / 2 + along
-    if not (2 < middle[0] < width - 2 and 2 < middle[1] < height - 2):
-        _pole(picture, foot, tall, rng)
-        return replace(example, picture=picture)
-    before = rng.random() < 0.6
+    middle, diameter = ball[0], min(ball[1], most_ball_px)
+    before = rng.random() < BEFORE_SHARE
     if before:
         _pole(picture, foot, tall, rng)
     box = draw_ball(picture, middle, diameter, np.zeros(2, np.float32), rng)
     if not before:
         _pole(picture, foot, tall, rng)
     return with_object(example, picture, box, BALL_LABEL)
+
+
+def _ball(
+    foot: tuple[float, float], slopes: tuple[float, float], tall: float, rng: np.random.Generator
+) -> tuple[tuple[float, float], float]:
+    """Centre and diameter of a ball at a pole's foot, or on one of the lines away from it."""
+    diameter = max(tall * rng.uniform(*BALL_TO_PERSON), LEAST_BALL_PX)
+    if rng.random() < LINE_SHARE:
+        return _along(
+            foot, slopes[int(rng.integers(2))], tall * rng.uniform(0.2, REACH[0])
+        ), diameter
+    x, y = rng.normal(0, 0.6) * diameter, rng.normal(0, 0.25) * diameter
+    return (foot[0] + x, foot[1] - diameter / 2 + y), diameter
+
+
+def _inside(place: tuple[float, float], width: int, height: int) -> bool:
+    return 2 < place[0] < width - 2 and 2 < place[1] < height - 2
 
 
 def _foot(

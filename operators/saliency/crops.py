@@ -69,8 +69,8 @@ def augmented(
     example = paste_balls(example, bank, rng, near=roi)
     if rng.random() < 0.15:
         example = replace(example, picture=clutter(example, rng))
-    example = with_corner(example, rng, ROI_BALL_PX if roi else MOST_BALL_PX)
-    example = paste(example, rng, ROI_BALL_PX if roi else MOST_BALL_PX)
+    most_ball_px = ROI_BALL_PX if roi else MOST_BALL_PX
+    example = paste(with_corner(example, rng, most_ball_px), rng, most_ball_px)
     picture = recolour(example.picture, rng)
     if rng.random() < 0.15:
         picture = coarser(picture, rng.uniform(0.55, 0.9))
