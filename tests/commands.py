@@ -15,6 +15,11 @@ from typing import IO
 import pytest
 
 from pipeline import cli
+from pipeline.bus.session import silence
+
+# As for these commands in a process of their own; a session of an earlier test would otherwise
+# have set what Zenoh prints, on the standard output that holds a command's result.
+silence()
 
 
 def command(*words: str) -> "subprocess.CompletedProcess[str]":
