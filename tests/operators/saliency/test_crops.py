@@ -1,6 +1,7 @@
 """Crops of stills have the context's size, boxes inside, and people of the heights of the loop."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from operators.saliency import crops
+from operators.saliency.augment import MOST_BALL_PX
 from operators.saliency.crops import (
     crop,
     mirrored,
@@ -175,6 +177,24 @@ def test_a_still_is_shown_with_a_team_in_another_kit_in_three_of_ten(monkeypatch
         crops.augmented(bank.still(0), bank, np.random.default_rng(seed))
 
     assert 8 < len(used) < 30
+
+
+@pytest.mark.parametrize(("roi", "most_px"), [(False, MOST_BALL_PX), (True, crops.ROI_BALL_PX)])
+def test_every_still_is_offered_a_corner_before_balls_are_drawn(
+    roi: bool, most_px: float, monkeypatch: pytest.MonkeyPatch, bank: Bank
+) -> None:
+    done: list[tuple[str, float]] = []
+
+    def noted(name: str, example: Example, _: np.random.Generator, most_ball_px: float) -> Example:
+        done.append((name, most_ball_px))
+        return example
+
+    for name in ("with_corner", "paste"):
+        monkeypatch.setattr(crops, name, partial(noted, name))
+
+    crops.augmented(bank.still(0), bank, np.random.default_rng(1), roi=roi)
+
+    assert done == [("with_corner", most_px), ("paste", most_px)]
 
 
 @given(SEEDS, st.sampled_from([(480, 270), (736, 414), (200, 113)]))
