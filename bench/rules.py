@@ -45,6 +45,7 @@ POLICIES = {  # as `planned` takes them
 }  # fmt: skip
 FIGURES = ("share in the ROI", "IoU")
 ON_IT = "tracker on it where the ROI shows it"
+RIGHT = "tracker on it where it answers"
 SHOWN, ON = 0.5, 0.2  # share of the target in the ROI, IoU
 NOWHERE = np.zeros((0, 4), np.float32)
 
@@ -56,6 +57,7 @@ class Watch:
     kind: str
     object_id: int = -1  # -1: any of the class
     values: dict[str, list[float]] = field(default_factory=lambda: {f: [] for f in FIGURES})
+    answered: list[bool] = field(default_factory=list)  # of these frames
     runs: int = 1
     _windows: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)  # by frame
     _answers: dict[int, Any] = field(default_factory=dict)
@@ -78,13 +80,16 @@ class Watch:
             if not len(boxes):
                 continue
             window = np.array(self._windows.get(seq, (0, 0, 0, 0)))
-            best = best_of(boxes, window, self._answers.get(seq, NOWHERE))
+            answer = self._answers.get(seq, NOWHERE)
+            self.answered.append(len(answer) > 0)
+            best = best_of(boxes, window, answer)
             for figure, value in zip(FIGURES, best, strict=True):
                 self.values[figure].append(value)
 
     def join(self, other: "Watch") -> None:
         """Add a run with the same target from another start, which overlaps this one."""
         self.runs += other.runs
+        self.answered += other.answered
         for figure in FIGURES:
             self.values[figure] += other.values[figure]
 
@@ -176,7 +181,7 @@ def beside(found: Mapping[tuple[str, str, str], Mapping[str, Watch]]) -> Iterato
             row[figure] = round(mean(own).iou, 3)
             above = difference(own, blocks(whole[first, kind], figure))
             row[f"{figure}: above {first}"] = "" if policy == first else worded(*above)
-        row[ON_IT] = on_it(clips.values())
+        row |= {ON_IT: on_it(clips.values()), RIGHT: right(clips.values())}
         yield row | {"targets": len(clips), "runs": sum(w.runs for w in clips.values())}
 
 
@@ -186,7 +191,20 @@ def on_it(clips: Iterable[Watch]) -> float | str:
     Empty where it never does.
     """
     pairs = [pair for w in clips for pair in zip(*w.values.values(), strict=True)]
-    overlaps = [overlap for shown, overlap in pairs if shown >= SHOWN]
+    return share_on([overlap for shown, overlap in pairs if shown >= SHOWN])
+
+
+def right(clips: Iterable[Watch]) -> float | str:
+    """Return the share of frames with the tracker on the target of those in which it has a box.
+
+    Frames in which the target is not visible do not count. Empty where it never has one.
+    """
+    pairs = [pair for w in clips for pair in zip(w.answered, w.values["IoU"], strict=True)]
+    return share_on([overlap for answered, overlap in pairs if answered])
+
+
+def share_on(overlaps: Sequence[float]) -> float | str:
+    """Return the share of frames whose IoU says that the tracker is on the target."""
     return round(float((np.array(overlaps) > ON).mean()), 3) if overlaps else ""
 
 

@@ -2,9 +2,10 @@
 
 With a cue the tracker is the one that ships: it gets a scanpath in every frame, drops an object
 that it does not find or that the scanpath has elsewhere, and starts again on the scanpath's object.
-The scanpath is the same for every strategy (`cue`). One rule of the tracker is off in all rows:
-`hidden_after`, by which it drops what the ROI does not show, holds for a ROI that was aimed by the
-policy that it hears. Without a cue it gets no scanpath and never drops its object.
+The scanpath is the same for every strategy (`cue`). Two rules of the tracker are off in all rows,
+which hold for a ROI that was aimed by the policy that it hears: `hidden_after`, by which it drops
+what the ROI does not show, and `place_after`, by which it drops what the policy has lost. Without a
+cue it gets no scanpath and never drops its object.
 """
 
 from typing import TYPE_CHECKING
@@ -37,7 +38,9 @@ class Consumer:
         given = self.box - corner(window) if self._local else self.box
         header = loop.camera.header(frame)
         if self._cue:  # as if a policy had shown it: a prompted tracker would not listen to one
-            loop.stages.begin(header, "tracker", tracker={"hidden_after": NEVER})
+            loop.stages.begin(
+                header, "tracker", tracker={"hidden_after": NEVER, "place_after": NEVER}
+            )
             loop.stages.restore("tracker", TrackerState(box=given[None].astype(np.float32)))
         else:
             settings = {"init_box": tuple(float(v) for v in given), "lost_after": NEVER}

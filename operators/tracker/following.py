@@ -20,6 +20,7 @@ NOBODY = -1  # id of an object without a track
 NEAR = 0.75  # maximum distance of centres of one object, in sizes of the larger box
 ALIKE = 2.0  # if their sizes differ by less than this factor
 SHOWN = 0.5  # share of a box inside the ROI from which the ROI shows it
+REASONS = ("missed", "drift", "switch", "hidden", "place")  # to drop an object
 FAR_PX = 2.0**20  # beyond any field: no box, and nothing to calculate with
 Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
 Memory = tuple[NDArray[np.uint8] | NDArray[np.float32], ...]
@@ -56,6 +57,7 @@ class Rules:
     drift_after: int  # frames beside the object that the policy shows
     switch_after: int  # the same, where the policy shows another object than before
     hidden_after: int  # frames outside the ROI while the policy looks at a place
+    place_after: int  # frames in which the policy looks at a place, whatever the ROI shows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +71,7 @@ class TrackerState:
     missed_frames: int = 0  # in succession, in which the method did not find it
     apart_frames: int = 0  # in succession, in which the policy's object was elsewhere
     hidden_frames: int = 0  # in succession, in which the ROI did not show it
+    place_frames: int = 0  # in succession, in which the policy looked at a place
     memory: Memory = ()  # the method's own
 
 
@@ -85,7 +88,7 @@ class Following:
 
     def __init__(self, method: Method, rules: Rules) -> None:
         self.rules, self._method = rules, method
-        self.lost: dict[str, int] = dict.fromkeys(("missed", "drift", "switch", "hidden"), 0)
+        self.lost: dict[str, int] = dict.fromkeys(REASONS, 0)
         self.forget()
 
     @property
@@ -108,6 +111,7 @@ class Following:
             missed_frames=self._missed,
             apart_frames=self._apart,
             hidden_frames=self._hidden,
+            place_frames=self._place,
             memory=tuple(part.copy() for part in self._method.memory()) if self._begun else (),
         )
 
@@ -115,7 +119,7 @@ class Following:
         """Go on where another instance stopped; one of another method learns the object anew."""
         self._box, self._id, self._prompted = state.box, state.object_id, state.prompted
         self._missed, self._apart = state.missed_frames, state.apart_frames
-        self._hidden = state.hidden_frames
+        self._hidden, self._place = state.hidden_frames, state.place_frames
         self._begun = state.begun and self._method.resume(state.memory)
 
     def forget(self) -> None:
@@ -155,8 +159,9 @@ class Following:
         if shown.object_id == NOBODY:
             seen = shows(streams.roi, self._box[0])
             self._hidden = 0 if seen else self._hidden + 1
+            self._place += 1
             return
-        self._hidden = 0
+        self._hidden = self._place = 0
         if not same(self._box[0], shown.box):
             self._apart += 1
             return
@@ -173,6 +178,7 @@ class Following:
             "switch": switched and self._apart >= rules.switch_after,
             "drift": self._apart >= rules.drift_after,
             "hidden": self._hidden >= rules.hidden_after,
+            "place": self._place >= rules.place_after,
         }
         if reason := next((name for name, reached in reasons.items() if reached), ""):
             self.lost[reason] += 1

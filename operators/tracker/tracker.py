@@ -25,7 +25,7 @@ from pipeline import Frame, Header, Input, Operator, Percept, Scanpath, Settings
 from pipeline.boxes import covered
 
 FURTHER_WAIT_MS = 50.0  # realtime: for further windows of an exposure, where they are connected
-COUNTS = ("lost_after", "drift_after", "switch_after", "hidden_after")
+COUNTS = ("lost_after", "drift_after", "switch_after", "hidden_after", "place_after")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +42,7 @@ class TrackerSettings:
     drift_after: int = 6  # frames beside the object that the policy shows
     switch_after: int = 2  # the same, where the policy has chosen another object
     hidden_after: int = 8  # frames outside the ROI while the policy looks at a place
+    place_after: int = 60  # frames in which the policy looks at a place, whatever the ROI shows
 
     def __post_init__(self) -> None:
         if any(self.init_box):
@@ -180,6 +181,7 @@ class Tracker(Operator[S, Percept]):
             drift_after=s.drift_after,
             switch_after=s.switch_after,
             hidden_after=s.hidden_after,
+            place_after=s.place_after,
         )
 
     def _begin(self) -> None:

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from bench.policy_rules import RULES, Rule, without
-from bench.rules import ALL, FIGURES, Watch, asked, beside, main, on_it, rows
+from bench.rules import ALL, FIGURES, Watch, asked, beside, main, on_it, right, rows
 from pipeline.errors import RunError
 from pipeline.messages import Frame, Percept, Truth
 from pipeline.testing import header
@@ -63,6 +63,7 @@ def test_frames_without_an_answer_count_as_missed() -> None:
     watch = watched(box=(10, 10, 20, 20), window=(0, 0, 15, 40))
 
     assert watch.values == {FIGURES[0]: [0, 0.5], FIGURES[1]: [0, 1]}
+    assert watch.answered == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -144,6 +145,18 @@ def test_the_tracker_is_on_the_target_only_where_the_roi_shows_it() -> None:
     assert on_it([shown]) == 0.667  # the third frame hardly shows it
     shown.values = {name: [] for name in FIGURES}
     assert on_it([shown]) == ""
+
+
+def test_the_tracker_is_right_in_a_share_of_the_frames_in_which_it_has_a_box() -> None:
+    seen = watched(box=(10, 10, 20, 20), window=(0, 0, 40, 40))
+    seen.values = {FIGURES[0]: [1.0, 0.0, 1.0, 1.0], FIGURES[1]: [0.5, 0.3, 0.1, 0.0]}
+    seen.answered = [True, True, True, False]
+
+    assert right([seen]) == 0.667
+    seen.join(seen)
+    assert right([seen]) == 0.667
+    seen.answered = [False] * len(seen.answered)
+    assert right([seen]) == ""
 
 
 def test_targets_that_no_clip_shows_are_refused() -> None:

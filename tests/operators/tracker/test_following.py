@@ -17,8 +17,10 @@ from tests.operators.tracker.made_up import AWAY, World
 
 WORLD = World(seed=11)
 OTHER = WORLD.other_box()
-SWITCH, DRIFT, HIDDEN = 3, 6, 4
-RULES = {"switch_after": SWITCH, "drift_after": DRIFT, "hidden_after": HIDDEN}
+SWITCH, DRIFT, HIDDEN, PLACE = 3, 6, 4, 12
+RULES = {
+    "switch_after": SWITCH, "drift_after": DRIFT, "hidden_after": HIDDEN, "place_after": PLACE,
+}  # fmt: skip
 # id and box (None: the object's) of a scanpath; None: no scanpath
 Show = tuple[int, NDArray[np.float32] | None] | None
 
@@ -109,8 +111,16 @@ def test_an_object_outside_the_roi_is_lost_while_the_policy_shows_a_place() -> N
     assert all(len(p.boxes) == 0 for p in percepts[6 + HIDDEN - 1 :])
 
 
-def test_an_object_inside_the_roi_is_followed_while_the_policy_shows_a_place() -> None:
-    percepts = play(lambda k: (3, None) if k < 6 else (-1, WORLD.box(k)), 30)
+def test_an_object_inside_the_roi_is_followed_until_the_policy_has_shown_a_place_for_long() -> None:
+    percepts = play(lambda k: (3, None) if k < 6 or k >= 24 else (-1, WORLD.box(k)), 30)
+
+    assert all(on_object(p) for p in percepts[: 6 + PLACE - 1])
+    assert all(len(p.boxes) == 0 for p in percepts[6 + PLACE - 1 : 24])
+    assert all(on_object(p) for p in percepts[24:])
+
+
+def test_places_between_frames_that_show_the_object_change_nothing() -> None:
+    percepts = play(lambda k: (3, None) if k % PLACE == 0 else (-1, WORLD.box(k)), 40)
 
     assert all(on_object(p) for p in percepts)
 
