@@ -193,7 +193,7 @@ def test_a_late_cue_is_late_for_every_row_by_as_many_frames(stock: Stock, player
         assert choice == told[1][frame][0] == prompt[frame - 3][0]
 
 
-def test_the_tracker_of_a_row_with_a_cue_is_the_graphs_with_one_rule_off(
+def test_the_tracker_of_a_row_with_a_cue_is_the_graphs_with_two_rules_off(
     stock: Stock, player: Target
 ) -> None:
     _, heard, _ = followed(stock, player, ROWS["centred"])
