@@ -7,7 +7,7 @@ it do nothing. Prints the share of the target inside the ROI and the tracker's I
 in which the target is visible (of a class any object may be the one that is followed), and the
 difference to the run with all rules, paired by the target: what loses nothing can go. The policies
 with all rules stand beside each other, too, and tell how often the tracker is on the target where
-the ROI shows it.
+the ROI shows it, and where it has a box.
 """
 
 import json

@@ -17,8 +17,8 @@ import pytest
 from pipeline import cli
 from pipeline.bus.session import silence
 
-# As for these commands in a process of their own; a session of an earlier test would otherwise
-# have set what Zenoh prints, on the standard output that holds a command's result.
+# Before any session of this process, as `fovea` does: the first call decides what Zenoh prints, and
+# it prints on the standard output, which holds a command's result.
 silence()
 
 

@@ -38,9 +38,7 @@ class Consumer:
         given = self.box - corner(window) if self._local else self.box
         header = loop.camera.header(frame)
         if self._cue:  # as if a policy had shown it: a prompted tracker would not listen to one
-            loop.stages.begin(
-                header, "tracker", tracker={"hidden_after": NEVER, "place_after": NEVER}
-            )
+            loop.stages.begin(header, "tracker", tracker={"hidden_after": NEVER, "place_after": 0})
             loop.stages.restore("tracker", TrackerState(box=given[None].astype(np.float32)))
         else:
             settings = {"init_box": tuple(float(v) for v in given), "lost_after": NEVER}

@@ -3,7 +3,8 @@
 A method (correlation, ViTTrack, MixFormerV2) finds an object again from frame to frame, but does
 not notice when it drifts to another one. The scanpath reveals this: for every frame it contains the
 policy's object and its predicted box. Both are compared in every frame, and only disagreement in
-several consecutive frames counts, so that a single wrong scanpath has no effect.
+several consecutive frames counts, so that a single wrong scanpath has no effect. A scanpath that
+shows a place, and no object, counts as well: what the policy has lost is dropped.
 """
 
 from dataclasses import dataclass, field
@@ -57,7 +58,7 @@ class Rules:
     drift_after: int  # frames beside the object that the policy shows
     switch_after: int  # the same, where the policy shows another object than before
     hidden_after: int  # frames outside the ROI while the policy looks at a place
-    place_after: int  # frames in which the policy looks at a place, whatever the ROI shows
+    place_after: int  # the same, whatever the ROI shows; 0: never
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,7 +179,7 @@ class Following:
             "switch": switched and self._apart >= rules.switch_after,
             "drift": self._apart >= rules.drift_after,
             "hidden": self._hidden >= rules.hidden_after,
-            "place": self._place >= rules.place_after,
+            "place": 0 < rules.place_after <= self._place,
         }
         if reason := next((name for name, reached in reasons.items() if reached), ""):
             self.lost[reason] += 1

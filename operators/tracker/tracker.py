@@ -25,7 +25,7 @@ from pipeline import Frame, Header, Input, Operator, Percept, Scanpath, Settings
 from pipeline.boxes import covered
 
 FURTHER_WAIT_MS = 50.0  # realtime: for further windows of an exposure, where they are connected
-COUNTS = ("lost_after", "drift_after", "switch_after", "hidden_after", "place_after")
+COUNTS = ("lost_after", "drift_after", "switch_after", "hidden_after")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,9 @@ class TrackerSettings:
     drift_after: int = 6  # frames beside the object that the policy shows
     switch_after: int = 2  # the same, where the policy has chosen another object
     hidden_after: int = 8  # frames outside the ROI while the policy looks at a place
-    place_after: int = 60  # frames in which the policy looks at a place, whatever the ROI shows
+    # the same, whatever the ROI shows, for a policy that does so only where it has lost the object;
+    # 0: never. With no more than `hidden_after` that rule has nothing left to do
+    place_after: int = 0
 
     def __post_init__(self) -> None:
         if any(self.init_box):
@@ -50,6 +52,8 @@ class TrackerSettings:
         for name in COUNTS:
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
+        if self.place_after < 0:
+            raise SettingsError(f"place_after: must not be negative, got {self.place_after}")
         if not self.lost_score <= 1:
             raise SettingsError(f"lost_score: must be at most 1, got {self.lost_score}")
 
@@ -62,10 +66,11 @@ class Tracker(Operator[S, Percept]):
 
     The box given by `init_box` or `follow` is kept until it is lost, or until `reset`; after that,
     and without it, the policy's object is followed. An object that is not found keeps its place
-    for less than `lost_after` frames. Each method's class says what `method` is.
+    for less than `lost_after` frames; one that the policy has lost is dropped (`place_after`). Each
+    method's class says what `method` is.
     """
 
-    live: ClassVar[tuple[str, ...]] = ("lost_score", *COUNTS)
+    live: ClassVar[tuple[str, ...]] = ("lost_score", *COUNTS, "place_after")
     commands: ClassVar[tuple[str, ...]] = ("follow", "reset")
     context = Input(Frame, keep="latest")
     roi = Input(Frame, keep="latest")

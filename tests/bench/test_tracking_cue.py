@@ -200,7 +200,8 @@ def test_the_tracker_of_a_row_with_a_cue_is_the_graphs_with_two_rules_off(
 
     (state,) = heard.states
     assert list(heard.tracker) == ["hidden_after", "place_after"]
-    assert min(heard.tracker.values()) > FRAMES
+    assert heard.tracker["hidden_after"] > FRAMES
+    assert heard.tracker["place_after"] == 0
     assert (state.prompted, state.begun) == (False, False)  # so that it listens
     np.testing.assert_array_equal(state.box, player.boxes[START][None])
 

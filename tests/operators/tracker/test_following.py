@@ -163,6 +163,40 @@ def test_a_successor_continues_the_counts_of_its_predecessor() -> None:
     assert on_other(successor.on_context_roi(**WORLD.frames(SWITCH, at=centres(OTHER))))
 
 
+def test_places_are_counted_on_by_a_successor_and_reported() -> None:
+    old, successor = (CorrelationTracker(CorrelationSettings(**RULES)) for _ in range(2))
+    for subject in (old, successor):
+        subject.open()
+        subject.on_stream(header(0))
+    old.on_scanpath(**WORLD.scanpath(-1, object_id=3))
+    old.on_context_roi(**WORLD.frames(0))
+    for k in range(1, PLACE):
+        old.on_scanpath(**WORLD.scanpath(k - 1, object_id=-1))
+        assert on_object(old.on_context_roi(**WORLD.frames(k)))
+
+    successor.restore(loads(TrackerState, dumps(old.state())))
+    successor.on_scanpath(**WORLD.scanpath(PLACE - 1, object_id=-1))
+
+    assert not len(successor.on_context_roi(**WORLD.frames(PLACE)).boxes)
+    assert successor.summary()["tracker"]["let_go"]["place"] == 1
+
+
+def test_an_object_that_was_given_and_one_of_a_tracker_without_the_rule_outlast_places() -> None:
+    given_box = tuple(WORLD.box(0).tolist())
+    for settings in (
+        CorrelationSettings(**RULES, init_box=given_box),
+        CorrelationSettings(**RULES | {"place_after": 0}),
+    ):
+        subject = CorrelationTracker(settings)
+        subject.open()
+        subject.on_stream(header(0))
+        subject.on_scanpath(**WORLD.scanpath(-1, object_id=3))
+        subject.on_context_roi(**WORLD.frames(0))
+        for k in range(1, 2 * PLACE):
+            subject.on_scanpath(**WORLD.scanpath(k - 1, object_id=-1))
+            assert on_object(subject.on_context_roi(**WORLD.frames(k)))
+
+
 @given(
     st.lists(
         st.tuples(

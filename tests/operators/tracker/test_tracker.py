@@ -180,9 +180,12 @@ def test_an_invalid_initial_box_is_refused():
         CorrelationSettings(init_box=(5.0, 5.0, 5.0, 9.0))
 
 
-@pytest.mark.parametrize(
-    "name", ["lost_after", "drift_after", "switch_after", "hidden_after", "place_after"]
-)
+def test_a_negative_count_of_places_is_refused():
+    with pytest.raises(SettingsError, match="place_after: must not be negative, got -1"):
+        CorrelationSettings(place_after=-1)
+
+
+@pytest.mark.parametrize("name", ["lost_after", "drift_after", "switch_after", "hidden_after"])
 def test_a_count_below_one_is_refused(name):
     with pytest.raises(SettingsError, match=f"{name}: must be at least 1, got 0"):
         CorrelationSettings(**{name: 0})
