@@ -217,7 +217,8 @@ static int dequeue(int fd, struct v4l2_buffer *out)
 {
     unsigned long long due;
     struct timespec now;
-    if (!waiting || is("silent") || read(fd, &due, sizeof due) != sizeof due) return fails(EAGAIN);
+    /* what `poll` announced comes: `silent` may be set between both */
+    if (!waiting || read(fd, &due, sizeof due) != sizeof due) return fails(EAGAIN);
     out->index = queue[0];
     memmove(queue, queue + 1, --waiting * sizeof *queue);
     out->length = width * height * 2;
