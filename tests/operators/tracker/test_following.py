@@ -42,6 +42,16 @@ def play(
     return [answer for answer in answers if answer is not None]
 
 
+def begun(settings: CorrelationSettings) -> CorrelationTracker:
+    """A tracker that follows the object, shown as number 3, since frame 0."""
+    subject = CorrelationTracker(settings)
+    subject.open()
+    subject.on_stream(header(0))
+    subject.on_scanpath(**WORLD.scanpath(-1, object_id=3))
+    assert on_object(subject.on_context_roi(**WORLD.frames(0)))
+    return subject
+
+
 def on_object(percept: Percept) -> bool:
     return (
         bool(len(percept.boxes)) and iou(percept.boxes, WORLD.box(percept.header.seq)[None]) > 0.5
@@ -147,12 +157,7 @@ def test_a_place_and_a_scanpath_that_has_ended_start_no_following(choice: int) -
 
 
 def test_a_successor_continues_the_counts_of_its_predecessor() -> None:
-    old, successor = (CorrelationTracker(CorrelationSettings(**RULES)) for _ in range(2))
-    for subject in (old, successor):
-        subject.open()
-        subject.on_stream(header(0))
-    old.on_scanpath(**WORLD.scanpath(-1, object_id=3))
-    old.on_context_roi(**WORLD.frames(0))
+    old, successor = begun(CorrelationSettings(**RULES)), begun(CorrelationSettings(**RULES))
     for k in range(1, SWITCH):
         old.on_scanpath(**WORLD.scanpath(k - 1, object_id=8, box=OTHER))
         assert on_object(old.on_context_roi(**WORLD.frames(k)))
@@ -164,12 +169,7 @@ def test_a_successor_continues_the_counts_of_its_predecessor() -> None:
 
 
 def test_places_are_counted_on_by_a_successor_and_reported() -> None:
-    old, successor = (CorrelationTracker(CorrelationSettings(**RULES)) for _ in range(2))
-    for subject in (old, successor):
-        subject.open()
-        subject.on_stream(header(0))
-    old.on_scanpath(**WORLD.scanpath(-1, object_id=3))
-    old.on_context_roi(**WORLD.frames(0))
+    old, successor = begun(CorrelationSettings(**RULES)), begun(CorrelationSettings(**RULES))
     for k in range(1, PLACE):
         old.on_scanpath(**WORLD.scanpath(k - 1, object_id=-1))
         assert on_object(old.on_context_roi(**WORLD.frames(k)))
@@ -187,11 +187,7 @@ def test_an_object_that_was_given_and_one_of_a_tracker_without_the_rule_outlast_
         CorrelationSettings(**RULES, init_box=given_box),
         CorrelationSettings(**RULES | {"place_after": 0}),
     ):
-        subject = CorrelationTracker(settings)
-        subject.open()
-        subject.on_stream(header(0))
-        subject.on_scanpath(**WORLD.scanpath(-1, object_id=3))
-        subject.on_context_roi(**WORLD.frames(0))
+        subject = begun(settings)
         for k in range(1, 2 * PLACE):
             subject.on_scanpath(**WORLD.scanpath(k - 1, object_id=-1))
             assert on_object(subject.on_context_roi(**WORLD.frames(k)))
