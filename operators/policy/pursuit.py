@@ -35,6 +35,7 @@ from operators.policy.gaze_plan import (
     scanpath,
     stay,
 )
+from operators.policy.in_play import Places, no_places, play_odds, rested
 from operators.policy.inputs import PolicyInputs
 from operators.policy.search import busiest, search
 from operators.policy.target import (
@@ -85,6 +86,8 @@ class PursuitPolicySettings(SearchSettings):
     """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
     confirm: int = 3  # sightings before the gaze moves to a candidate
+    # before a fixed camera: what rests, with nobody near or for long, is hardly the target
+    in_play: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,6 +109,7 @@ class PursuitState:
     rival_frames: int = 0
     sightings: Sightings = field(default_factory=none_seen)
     verdicts: Verdicts = field(default_factory=none_given)
+    places: Places = field(default_factory=no_places)  # where candidates are at rest
 
     def asked_for(self, spec: TargetSpec) -> "PursuitState":
         """Return the state for this target, reset if the target is another one; keep verdicts."""
@@ -191,7 +195,10 @@ def pursue(tracks: Tracks, before: State, rules: PursuitPolicySettings) -> tuple
     Of `rules` its numbers count; the target is the state's.
     """
     now = replace(before, sightings=count(before.sightings, tracks))
-    now = locked_on(tracks, now, rules)
+    if rules.in_play:
+        now = replace(now, places=rested(now.places, tracks, now.spec))
+    log_odds = rated(tracks, now, rules)
+    now = locked_on(tracks, now, rules, log_odds)
     row = row_of(tracks, now.locked)
     if row < 0:
         return unlocked(tracks, now, rules)
@@ -199,7 +206,7 @@ def pursue(tracks: Tracks, before: State, rules: PursuitPolicySettings) -> tuple
     carrier = carrier_of(tracks, now)
     if carrier >= 0:
         return stay(future(tracks, carrier, rules.horizon), rules.horizon), now
-    if not told(tracks, row, now, rules):
+    if not told(log_odds[row : row + 1], rules):
         return stay(future(tracks, row, rules.horizon), rules.horizon), now
     return follow(tracks, row, rules.horizon), now
 
@@ -210,45 +217,51 @@ def carrier_of(tracks: Tracks, now: PursuitState) -> int:
     return row_of(tracks, now.carrier_id) if late else -1
 
 
-def told(tracks: Tracks, row: int, now: PursuitState, rules: PursuitPolicySettings) -> bool:
+def told(log_odds: NDArray[np.float32], rules: PursuitPolicySettings) -> bool:
     """Whether the consumer is told that a track is the target, and not only shown its place.
 
     A faint candidate is looked at to be verified; a consumer that is bound to it loses its own.
     """
-    sure = probability(rated(tracks, now)[row : row + 1])[0] >= SURE
-    return bool(sure or not rules.least_probability)
+    return bool(probability(log_odds)[0] >= SURE or not rules.least_probability)
 
 
-def locked_on(tracks: Tracks, now: State, rules: PursuitPolicySettings) -> State:
-    """Keep, gain or change the track that is the target."""
+def locked_on(
+    tracks: Tracks, now: State, rules: PursuitPolicySettings, log_odds: NDArray[np.float32]
+) -> State:
+    """Keep, gain or change the track that is the target, by the odds of each (n,)."""
     spec = now.spec
     if row_of(tracks, now.locked) >= 0:
         if spec.one:
             return now
-        if likely(tracks, now, rules)[row_of(tracks, now.locked)]:
-            return challenged(tracks, now, rules)
+        if likely(log_odds, rules)[row_of(tracks, now.locked)]:
+            return challenged(tracks, now, rules, log_odds)
     row = first_lock(tracks, spec) if now.seen_seq < 0 else -1
     if row < 0 and (now.seen_seq >= 0 or not spec.one):
-        row = regained(tracks, now, rules)
+        row = regained(tracks, now, rules, log_odds)
     locked = int(tracks.ids[row]) if row >= 0 else -1
     return replace(now, locked=locked, rival=-1, rival_frames=0)
 
 
-def eligible(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> NDArray[np.bool_]:
+def eligible(
+    tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings, log_odds: NDArray[np.float32]
+) -> NDArray[np.bool_]:
     """Return which tracks may be the target: (n,)."""
     fit = of_class(tracks, now.target or now.spec.label) & tracks.visible[:, -1]
     fit &= now.sightings.counts >= rules.confirm
-    return fit & likely(tracks, now, rules)
+    return fit & likely(log_odds, rules)
 
 
-def likely(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> NDArray[np.bool_]:
+def likely(log_odds: NDArray[np.float32], rules: PursuitPolicySettings) -> NDArray[np.bool_]:
     """Return which tracks are probable enough to be what they are reported as: (n,)."""
-    return np.asarray(probability(rated(tracks, now)) >= rules.least_probability)
+    return np.asarray(probability(log_odds) >= rules.least_probability)
 
 
-def rated(tracks: Tracks, now: PursuitState) -> NDArray[np.float32]:
+def rated(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> NDArray[np.float32]:
     """Return the logarithm of the odds of each track: (n,)."""
-    return odds(tracks, now.verdicts.of(tracks.ids))
+    found = odds(tracks, now.verdicts.of(tracks.ids))
+    if rules.in_play and not now.spec.one:
+        found += play_odds(tracks, now.spec, now.places)
+    return found
 
 
 def first_lock(tracks: Tracks, spec: TargetSpec) -> int:
@@ -261,29 +274,33 @@ def first_lock(tracks: Tracks, spec: TargetSpec) -> int:
     return -1
 
 
-def regained(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> int:
+def regained(
+    tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings, log_odds: NDArray[np.float32]
+) -> int:
     """Row of the best confirmed candidate, -1: none.
 
     One of many alike (asked for by id or by box) must be near where it was lost; the distance it
     may have gone grows with time. A class may turn up anywhere.
     """
-    fit = eligible(tracks, now, rules)
+    fit = eligible(tracks, now, rules, log_odds)
     if now.spec.one:
         gone = tracks.header.seq - now.seen_seq
         away = np.linalg.norm(centres(tracks.boxes[:, -1]) - centres(now.box), axis=1)
         fit &= away <= (1 + GROWTH * gone) * sizes(now.box[None])
         value = -away.astype(np.float32)
     else:
-        value = rated(tracks, now)
+        value = log_odds
     return int(np.where(fit, value, -np.inf).argmax()) if fit.any() else -1
 
 
-def challenged(tracks: Tracks, now: State, rules: PursuitPolicySettings) -> State:
+def challenged(
+    tracks: Tracks, now: State, rules: PursuitPolicySettings, log_odds: NDArray[np.float32]
+) -> State:
     """Change to a rival that has been clearly better for `confirm` frames in succession."""
-    fit, value = eligible(tracks, now, rules), rated(tracks, now)
+    fit = eligible(tracks, now, rules, log_odds)
     own = row_of(tracks, now.locked)
-    best = int(np.where(fit, value, -np.inf).argmax())
-    if not fit[best] or value[best] <= value[own] + MARGIN:
+    best = int(np.where(fit, log_odds, -np.inf).argmax())
+    if not fit[best] or log_odds[best] <= log_odds[own] + MARGIN:
         return replace(now, rival=-1, rival_frames=0)
     rival = int(tracks.ids[best])
     frames = now.rival_frames + 1 if rival == now.rival else 1
