@@ -95,6 +95,10 @@ PURSUIT = {
     "an unlikely candidate is none": Rule(
         changes=("policy.least_probability=0",)
     ),
+    "what rests alone is hardly it": Rule(
+        changes=("policy.in_play=false",)
+    ),
+    "what rests for long is hardly it": Rule(parts=(("in_play:RESTED", 1_000_000),)),
     "a person nearby carries it": Rule(parts=(("pursuit:can_carry", nobody),)),
     "it may be further away with time": Rule(parts=(("pursuit:GROWTH", 0.0),)),
     "people are searched": Rule(

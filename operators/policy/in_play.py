@@ -19,7 +19,7 @@ from operators.policy.target import TargetSpec
 from pipeline import Tracks
 from pipeline.boxes import centres, sizes
 
-NEAR = 1.2  # of a person's height, between the middles of both: before a kick, two metres
+NEAR = 0.7  # of a person's height, between the middles of both: a ball at the feet is at .5
 MOVED = 0.15  # of its size in each frame; what stands still is detected at the same place
 RESTED = 240  # frames at rest after which a candidate is scenery until it moves
 FORGOTTEN = 240  # frames without a candidate after which a place is forgotten

@@ -33,7 +33,7 @@ def playing(*objects: Row, seq: int = 0, unseen: tuple[int, ...] = ()) -> list[b
 @pytest.mark.parametrize(
     ("ball", "expected"),
     [
-        ((1, 0, 320.0, 320.0, 0.0), True),
+        ((1, 0, 312.0, 316.0, 0.0), True),
         ((1, 0, 400.0, 300.0, 0.0), False),
         ((1, 0, 400.0, 300.0, 5.0), True),
         ((1, 0, 400.0, 300.0, 1.0), False),
@@ -45,7 +45,7 @@ def test_a_ball_is_in_play_if_it_moves_or_a_person_is_near(ball: Row, expected: 
 
 
 def test_a_person_who_is_not_seen_is_near_to_nothing():
-    assert not playing((1, 0, 320.0, 320.0, 0.0), PERSON, unseen=(9,))[0]
+    assert not playing((1, 0, 312.0, 316.0, 0.0), PERSON, unseen=(9,))[0]
 
 
 def test_what_moves_with_the_camera_does_not_move():
@@ -56,7 +56,7 @@ def test_what_moves_with_the_camera_does_not_move():
 
 
 def test_a_ball_that_rests_for_long_is_scenery_until_it_moves():
-    rests, rolls = (1, 0, 320.0, 320.0, 0.0), (1, 0, 330.0, 320.0, 5.0)
+    rests, rolls = (1, 0, 312.0, 316.0, 0.0), (1, 0, 322.0, 316.0, 5.0)
     places, seen = no_places(), []
     for seq in range(RESTED + 1):
         frame = tracks(seq, rests, PERSON)
@@ -69,7 +69,7 @@ def test_a_ball_that_rests_for_long_is_scenery_until_it_moves():
 
 
 def test_a_place_keeps_its_age_under_another_id_and_while_it_is_hidden():
-    rests, renamed = (1, 0, 320.0, 320.0, 0.0), (2, 0, 322.0, 320.0, 0.0)
+    rests, renamed = (1, 0, 312.0, 316.0, 0.0), (2, 0, 314.0, 316.0, 0.0)
     places = rested(no_places(), tracks(0, rests, PERSON), BALL)
     frame = tracks(RESTED, renamed, PERSON)
 
@@ -77,7 +77,7 @@ def test_a_place_keeps_its_age_under_another_id_and_while_it_is_hidden():
 
 
 def test_a_place_without_a_candidate_is_forgotten():
-    places = rested(no_places(), tracks(0, (1, 0, 320.0, 320.0, 0.0)), BALL)
+    places = rested(no_places(), tracks(0, (1, 0, 312.0, 316.0, 0.0)), BALL)
 
     assert len(rested(places, tracks(FORGOTTEN, PERSON), BALL).at) == 1
     assert len(rested(places, tracks(FORGOTTEN + 1, PERSON), BALL).at) == 0
@@ -115,7 +115,7 @@ def test_people_and_any_object_are_rated_as_without(label: str):
 def world(seq: int) -> Tracks:
     """Return a bright spare ball that lies alone, and a faint one that a person runs with."""
     x = 300.0 + 5 * seq
-    frame = tracks(seq, (1, 0, 1500.0, 800.0, 0.0), (2, 0, x, 320.0, 5.0), (9, 1, x, 300.0, 5.0))
+    frame = tracks(seq, (1, 0, 1500.0, 800.0, 0.0), (2, 0, x, 316.0, 5.0), (9, 1, x, 300.0, 5.0))
     frame.scores[:] = (0.7, 0.3, 0.9)
     return frame
 
@@ -127,7 +127,7 @@ def test_a_spare_ball_is_passed_over_for_one_in_play(rule: bool, expected: int):
     paths = drive(PursuitPolicy, [world(k) for k in range(6)], settings)
 
     middle = (paths[-1].boxes[0, :2] + paths[-1].boxes[0, 2:]) / 2
-    wanted = (1500, 800) if expected == 1 else (330, 320)
+    wanted = (1500, 800) if expected == 1 else (330, 316)
     np.testing.assert_allclose(middle, wanted, atol=1)
 
 
@@ -144,15 +144,15 @@ def test_what_rests_is_known_after_a_swap():
     before, after = PursuitPolicy(settings), PursuitPolicy(settings)
     before.open()
     after.open()
-    before.on_tracks(tracks(0, (1, 0, 320.0, 320.0, 0.0), PERSON))
+    before.on_tracks(tracks(0, (1, 0, 312.0, 316.0, 0.0), PERSON))
 
     after.restore(before.state())
 
-    assert after.state().places.at.tolist() == [[320, 320]]
+    assert after.state().places.at.tolist() == [[312, 316]]
 
 
 def test_odds_tell_what_is_in_play_from_what_is_not():
-    frame = tracks(0, (1, 0, 320.0, 320.0, 0.0), (2, 0, 900.0, 320.0, 0.0), PERSON)
+    frame = tracks(0, (1, 0, 312.0, 316.0, 0.0), (2, 0, 900.0, 320.0, 0.0), PERSON)
 
     found = play_odds(frame, BALL, no_places())
 
