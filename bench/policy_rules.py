@@ -108,7 +108,6 @@ PURSUIT = {
 }  # fmt: skip
 VERIFYING = {
     "candidates are looked at": Rule(parts=(("verifying:looked_at", as_before),)),
-    "a verdict takes several looks": Rule(changes=("policy.looks=2",)),
     "a window shows several candidates": Rule(parts=(("verifying:window_sums", alone),)),
     "near its edge nothing is judged": Rule(parts=(("verifying:EDGE_PX", 0.0),)),
     "what cannot be judged is given up": Rule(parts=(("verifying:LATE", 1_000_000),)),
@@ -120,7 +119,6 @@ VERIFYING = {
     "the target's odds change slowly": Rule(parts=(("verifying:OWN_GAIN", 1.0),)),
     "a lost target is waited for": Rule(parts=(("verifying:well_known", returns(False)),)),
     "a kicked ball is followed": Rule(parts=(("verifying:next_flight", returns(Flight())),)),
-    "a person nearby carries it": Rule(parts=(("pursuit:can_carry", nobody),)),
     "people are searched": Rule(parts=(("pursuit:busiest", returns(None)),)),
 }  # fmt: skip
 RULES: dict[str, dict[str, Rule]] = {  # by policy

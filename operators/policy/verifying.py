@@ -2,8 +2,8 @@
 
 A ball of two pixels in the context is one of fifty candidates, behind boots, lines and scraps. Full
 resolution tells them apart, if it is asked: the ROI shows the likeliest candidates one window after
-another, each in `looks` frames, until one of them is verified (operators.verify); one of which the
-context is sure needs no looks. It is followed as in pursuit. A target that was followed for a
+another, until one of them has a verdict that says so (operators.verify); one of which the context
+is sure needs no looks. It is followed as in pursuit. A target that was followed for a
 while and is lost may have been kicked: what flies away from where it was is followed (`flight`).
 Without such it is waited for and looked for among people, not among faint candidates again.
 
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from operators.policy.candidates import context_odds, faint_odds, probability
 from operators.policy.decision import PolicyState
 from operators.policy.flight import Flight, next_flight
+from operators.policy.former import LOOKS_SET
 from operators.policy.gaze_plan import PLACE, GazePlan, follow, future, of_class, row_of, stay
 from operators.policy.learned import LearnedPolicy, LearnedPolicySettings
 from operators.policy.pursuit import (
@@ -29,16 +30,16 @@ from operators.policy.pursuit import (
     Pursuit,
     PursuitState,
     SearchSettings,
-    carrier_of,
     noted,
     unlocked,
 )
-from pipeline import Header, RoiFeatures, SettingsError, Tracks
+from operators.policy.verdicts import LOOKS
+from pipeline import Header, RoiFeatures, Tracks
 from pipeline.boxes import centres
 
 EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge nothing is judged
 OWN_GAIN = 0.2  # of the latest frame in the odds of the present target
-LATE = 6  # frames more than `looks` for which a candidate is waited for
+LATE = 6  # frames more than `LOOKS` for which a candidate is waited for
 PLAIN = 3  # frames in which the context shows a candidate that needs no looks
 GIVEN_UP = 16  # latest candidates that could not be judged, which are passed over
 
@@ -47,15 +48,11 @@ GIVEN_UP = 16  # latest candidates that could not be judged, which are passed ov
 class VerifyingPolicySettings(SearchSettings, LearnedPolicySettings):
     """What a graph may set. Those of `LearnedPolicy` count for a target asked for by id or box."""
 
-    FORMER: ClassVar[Mapping[str, str]] = {**LearnedPolicySettings.FORMER, **SearchSettings.FORMER}
+    FORMER: ClassVar[Mapping[str, str]] = {
+        **LearnedPolicySettings.FORMER, **SearchSettings.FORMER, **LOOKS_SET
+    }  # fmt: skip
 
     least_probability: float = 0.08  # of a verified candidate, by context and ROI
-    looks: int = 7  # frames in which the ROI shows a candidate before it is believed
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.looks < 2:  # a verdict needs two views
-            raise SettingsError(f"looks: must be at least 2, got {self.looks}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +83,6 @@ class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
     Of a target asked for by id or box it proposes what `LearnedPolicy` does.
     """
 
-    live: ClassVar[tuple[str, ...]] = (*Pursuit.live, "looks")
     begins = VerifyingState
     _state: VerifyingState
 
@@ -158,9 +154,9 @@ def seek(
     chances, now = shares(odds), locked_on(tracks, before, odds, rules)
     search, row, shown, horizon = now.search, row_of(tracks, now.locked), -1, rules.horizon
     if row >= 0:
-        now = replace(noted(tracks, row, now, now.spec), flight=Flight())
+        now = replace(seen_at(tracks, row, now), flight=Flight())
     elif not search.followed:  # it was none: nothing is known of the target
-        now = replace(now, seen_seq=-1, carrier_id=-1)
+        now = replace(now, seen_seq=-1)
         search = looked_at(tracks, now, chances, rules)
         shown = row_of(tracks, search.shown_id)
     if shown >= 0:
@@ -172,10 +168,12 @@ def seek(
         return (follow(tracks, row, horizon), now) if row >= 0 else unlocked(tracks, now, rules)
     search = replace(search, kept=search.kept + 1)
     now = replace(now, search=replace(search, followed=well_known(search, rules)))
-    carrier = carrier_of(tracks, now)
-    if carrier >= 0:
-        return stay(future(tracks, carrier, horizon), horizon), now
     return follow(tracks, row, horizon), now
+
+
+def seen_at(tracks: Tracks, row: int, now: VerifyingState) -> VerifyingState:
+    """Remember where the target is, and nobody as its carrier: people are searched."""
+    return replace(noted(tracks, row, now, now.spec), carrier_id=PLACE)
 
 
 def well_known(search: SearchState, rules: VerifyingPolicySettings) -> bool:
@@ -193,7 +191,7 @@ def flown(tracks: Tracks, now: VerifyingState, rules: VerifyingPolicySettings) -
         return now
     now = replace(now, flight=next_flight(tracks, now.flight, now.spec, now.box, lost))
     row = row_of(tracks, now.flight.track_id)
-    return noted(tracks, row, now, now.spec) if row >= 0 else now
+    return seen_at(tracks, row, now) if row >= 0 else now
 
 
 def target_odds(tracks: Tracks, now: VerifyingState) -> NDArray[np.float32]:
@@ -231,7 +229,7 @@ def locked_on(
     that has become unlikely is kept for `patience` frames or until another is verified; one that
     was followed as long is lost at once, and waited for.
     """
-    fit = now.verdicts.views(tracks.ids) >= rules.looks
+    fit = now.verdicts.views(tracks.ids) >= LOOKS
     fit |= (probability(context_odds(tracks.scores)) >= SURE) & (tracks.visible.sum(1) >= PLAIN)
     fit &= np.isfinite(odds) & (probability(odds) >= rules.least_probability)
     own, search = row_of(tracks, now.locked), now.search
@@ -262,15 +260,15 @@ def looked_at(
     its verdict, for `LATE` frames more at most, and while its window shows an open candidate.
     """
     seq, views, search = tracks.header.seq, now.verdicts.views(tracks.ids), now.search
-    open_ones = (chances > 0) & (views < rules.looks)
+    open_ones = (chances > 0) & (views < LOOKS)
     row, given_up = row_of(tracks, search.shown_id), search.given_up
-    if row >= 0 and views[row] < rules.looks:
-        late = seq - search.shown_seq > rules.looks + LATE
+    if row >= 0 and views[row] < LOOKS:
+        late = seq - search.shown_seq > LOOKS + LATE
         if not late and window_sums(tracks, chances * open_ones)[row] > 0:
             return search
         if late:
             given_up = (*given_up, search.shown_id)[-GIVEN_UP:]
-    value = window_sums(tracks, chances * open_ones * (1 - views / rules.looks))
+    value = window_sums(tracks, chances * open_ones * (1 - views / LOOKS))
     possible = open_ones & tracks.visible[:, -1] & (value > 0)
     possible &= ~np.isin(tracks.ids, (search.shown_id, *given_up))
     chosen = int(np.where(possible, value, -np.inf).argmax()) if possible.any() else -1

@@ -27,7 +27,7 @@ class Run:
     """A policy in its loop: the ROI shows what the plan before looked at."""
 
     def __init__(self, genuine: dict[int, float], **values: object) -> None:
-        given = {"target": "ball", "patience": 5, "looks": 5} | values
+        given = {"target": "ball", "patience": 5} | values
         settings = build(VerifyingPolicySettings, given, "policy")
         self.policy = VerifyingPolicy(settings)
         self.policy.open()
@@ -104,7 +104,7 @@ def test_the_consumer_is_told_of_a_verified_candidate_and_of_none_before() -> No
 
     choices = [int(run.frame(1, 2).choice[0]) for _ in range(12)]
 
-    assert choices[:5] == [-1] * 5
+    assert choices[:2] == [-1] * 2
     assert choices[-1] == 2
 
 
@@ -163,7 +163,7 @@ def test_a_look_that_was_begun_ends_once_another_candidate_is_surely_the_target(
         )  # fmt: skip
         choices.append(int(run.policy.on_tracks(seen).choice[0]))
 
-    assert choices == [-1] * 4 + [3] * 8
+    assert choices == [-1] + [3] * 11
 
 
 @pytest.mark.parametrize("least", [0.0, 0.08])
@@ -250,9 +250,9 @@ def test_its_state_crosses_a_swap() -> None:
     assert other.on_tracks(world(run.seq, 1)).choice[0] == 1
 
 
-def test_wrong_settings_are_told_in_a_sentence() -> None:
-    with pytest.raises(SettingsError, match="looks: must be at least 2, got 1"):
-        build(VerifyingPolicySettings, {"looks": 1}, "policy")
+def test_a_setting_that_is_gone_is_told_in_a_sentence() -> None:
+    with pytest.raises(SettingsError, match="looks: removed; a verdict takes two looks"):
+        build(VerifyingPolicySettings, {"looks": 7}, "policy")
 
 
 def test_a_target_that_the_roi_refutes_for_long_is_let_go() -> None:
