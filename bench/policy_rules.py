@@ -95,7 +95,7 @@ PURSUIT = {
     "an unlikely candidate is none": Rule(
         changes=("policy.least_probability=0",)
     ),
-    "what rests alone is hardly it": Rule(
+    "what rests is hardly it": Rule(
         changes=("policy.in_play=false",)
     ),
     "what rests for long is hardly it": Rule(parts=(("in_play:RESTED", 1_000_000),)),

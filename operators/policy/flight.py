@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from operators.policy.carrier import can_carry
 from operators.policy.gaze_plan import PLACE, of_class, row_of
-from operators.policy.motion import motion
+from operators.policy.motion import common
 from operators.policy.target import TargetSpec
 from pipeline import Tracks
 from pipeline.boxes import centres, sizes
@@ -75,6 +75,13 @@ def begun(tracks: Tracks, spec: TargetSpec, place: Array, lost: int) -> int:
     fit &= (away >= size) & (away <= REACH_PX + STEP_PX * lost)
     fit &= (speed >= LEAST_SPEED * size) & ((step * way).sum(1) >= STRAIGHT * speed * away)
     return int(np.where(fit, tracks.scores, -1).argmax()) if fit.any() else -1
+
+
+def motion(tracks: Tracks) -> Array:
+    """Return how far each track moves in a frame, less the camera's motion: (n, 2), pixels."""
+    path = centres(tracks.boxes)
+    step = (path[:, -1] - path[:, 0]) / max(path.shape[1] - 1, 1)
+    return np.asarray(step - common(step[np.isfinite(step).all(1)]), np.float32)
 
 
 def at_somebody(tracks: Tracks, spec: TargetSpec) -> NDArray[np.bool_]:

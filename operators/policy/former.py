@@ -15,4 +15,4 @@ CARRIERS: Mapping[str, str] = {"held_by": "renamed; expected carriers"}
 PRIOR: Mapping[str, str] = {"loyalty": "renamed; expected target_prior"}
 FEEDBACK: Mapping[str, str] = {"feedback_score": "removed; what the consumer sees gained nothing"}
 VERIFIED: Mapping[str, str] = {"least_genuine": "removed; objects that the ROI refutes stay"}
-LOOKS_SET: Mapping[str, str] = {"looks": "removed; a verdict takes two looks"}
+SEVERAL_LOOKS: Mapping[str, str] = {"looks": "removed; a verdict takes two looks"}

@@ -21,10 +21,3 @@ def camera_motion(tracks: Tracks) -> Array:
     if not tracks.predicted.shape[1]:
         return np.zeros(2, np.float32)
     return common(centres(tracks.predicted[:, 0]) - centres(tracks.boxes[:, -1]))
-
-
-def motion(tracks: Tracks) -> Array:
-    """Return how far each track moves in a frame, less the camera's motion: (n, 2), pixels."""
-    path = centres(tracks.boxes)
-    step = (path[:, -1] - path[:, 0]) / max(path.shape[1] - 1, 1)
-    return np.asarray(step - common(step[np.isfinite(step).all(1)]), np.float32)

@@ -9,6 +9,8 @@ A small ball is lost by false locks rather than by bad predictions, hence these 
 - A target unseen for a few frames that was last near a person is carried by them: look there.
 - A candidate of a class is the target where its odds allow it, by its score and by what the ROI
   showed of it (verdicts.py): a weak one only once it was verified, and no longer when refuted.
+- With `in_play`, before a fixed camera, a candidate that moves or has a person near is likelier,
+  and may be followed unverified; one that rests, alone or for long, is hardly one (in_play.py).
 - Nobody near: look where it was seen last. After `patience` frames what was asked for by its class
   is looked for where most people are, who may have the ball; without people in the field, window
   by window, nearest to the last place first.
@@ -35,7 +37,7 @@ from operators.policy.gaze_plan import (
     scanpath,
     stay,
 )
-from operators.policy.in_play import Places, no_places, play_odds, rested
+from operators.policy.in_play import Places, no_places, places_after, play_odds, tells
 from operators.policy.inputs import PolicyInputs
 from operators.policy.search import busiest, search
 from operators.policy.target import (
@@ -195,8 +197,8 @@ def pursue(tracks: Tracks, before: State, rules: PursuitPolicySettings) -> tuple
     Of `rules` its numbers count; the target is the state's.
     """
     now = replace(before, sightings=count(before.sightings, tracks))
-    if rules.in_play:
-        now = replace(now, places=rested(now.places, tracks, now.spec))
+    if rules.in_play and tells(now.spec):
+        now = replace(now, places=places_after(now.places, tracks, now.spec))
     log_odds = rated(tracks, now, rules)
     now = locked_on(tracks, now, rules, log_odds)
     row = row_of(tracks, now.locked)
@@ -259,7 +261,7 @@ def likely(log_odds: NDArray[np.float32], rules: PursuitPolicySettings) -> NDArr
 def rated(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> NDArray[np.float32]:
     """Return the logarithm of the odds of each track: (n,)."""
     found = odds(tracks, now.verdicts.of(tracks.ids))
-    if rules.in_play and not now.spec.one:
+    if rules.in_play and tells(now.spec):
         found += play_odds(tracks, now.spec, now.places)
     return found
 

@@ -2,10 +2,10 @@
 
 A ball of two pixels in the context is one of fifty candidates, behind boots, lines and scraps. Full
 resolution tells them apart, if it is asked: the ROI shows the likeliest candidates one window after
-another, until one of them has a verdict that says so (operators.verify); one of which the context
-is sure needs no looks. It is followed as in pursuit. A target that was followed for a
-while and is lost may have been kicked: what flies away from where it was is followed (`flight`).
-Without such it is waited for and looked for among people, not among faint candidates again.
+another, until a verdict confirms one (operators.verify); one of which the context is sure needs no
+looks. It is followed as in pursuit, without carriers. A target that was followed for a while and is
+lost may have been kicked: what flies away from where it was is followed (`flight`). Without such it
+is waited for and looked for among people, not among faint candidates again.
 
 That is for a target asked for by its class. One asked for by id or box needs no search: the network
 follows it, as in `LearnedPolicy`.
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from operators.policy.candidates import context_odds, faint_odds, probability
 from operators.policy.decision import PolicyState
 from operators.policy.flight import Flight, next_flight
-from operators.policy.former import LOOKS_SET
+from operators.policy.former import SEVERAL_LOOKS
 from operators.policy.gaze_plan import PLACE, GazePlan, follow, future, of_class, row_of, stay
 from operators.policy.learned import LearnedPolicy, LearnedPolicySettings
 from operators.policy.pursuit import (
@@ -49,7 +49,7 @@ class VerifyingPolicySettings(SearchSettings, LearnedPolicySettings):
     """What a graph may set. Those of `LearnedPolicy` count for a target asked for by id or box."""
 
     FORMER: ClassVar[Mapping[str, str]] = {
-        **LearnedPolicySettings.FORMER, **SearchSettings.FORMER, **LOOKS_SET
+        **LearnedPolicySettings.FORMER, **SearchSettings.FORMER, **SEVERAL_LOOKS
     }  # fmt: skip
 
     least_probability: float = 0.08  # of a verified candidate, by context and ROI
@@ -154,7 +154,7 @@ def seek(
     chances, now = shares(odds), locked_on(tracks, before, odds, rules)
     search, row, shown, horizon = now.search, row_of(tracks, now.locked), -1, rules.horizon
     if row >= 0:
-        now = replace(seen_at(tracks, row, now), flight=Flight())
+        now = replace(noted(tracks, row, now, replace(now.spec, carriers=())), flight=Flight())
     elif not search.followed:  # it was none: nothing is known of the target
         now = replace(now, seen_seq=-1)
         search = looked_at(tracks, now, chances, rules)
@@ -169,11 +169,6 @@ def seek(
     search = replace(search, kept=search.kept + 1)
     now = replace(now, search=replace(search, followed=well_known(search, rules)))
     return follow(tracks, row, horizon), now
-
-
-def seen_at(tracks: Tracks, row: int, now: VerifyingState) -> VerifyingState:
-    """Remember where the target is, and nobody as its carrier: people are searched."""
-    return replace(noted(tracks, row, now, now.spec), carrier_id=PLACE)
 
 
 def well_known(search: SearchState, rules: VerifyingPolicySettings) -> bool:
@@ -191,7 +186,7 @@ def flown(tracks: Tracks, now: VerifyingState, rules: VerifyingPolicySettings) -
         return now
     now = replace(now, flight=next_flight(tracks, now.flight, now.spec, now.box, lost))
     row = row_of(tracks, now.flight.track_id)
-    return seen_at(tracks, row, now) if row >= 0 else now
+    return noted(tracks, row, now, replace(now.spec, carriers=())) if row >= 0 else now
 
 
 def target_odds(tracks: Tracks, now: VerifyingState) -> NDArray[np.float32]:
@@ -229,7 +224,7 @@ def locked_on(
     that has become unlikely is kept for `patience` frames or until another is verified; one that
     was followed as long is lost at once, and waited for.
     """
-    fit = now.verdicts.views(tracks.ids) >= LOOKS
+    fit = now.verdicts.settled(tracks.ids)
     fit |= (probability(context_odds(tracks.scores)) >= SURE) & (tracks.visible.sum(1) >= PLAIN)
     fit &= np.isfinite(odds) & (probability(odds) >= rules.least_probability)
     own, search = row_of(tracks, now.locked), now.search

@@ -10,106 +10,137 @@ from operators.policy.in_play import (
     IN_PLAY,
     RESTED,
     SCENERY,
+    Places,
     in_play,
     no_places,
+    places_after,
     play_odds,
-    rested,
+    tells,
 )
 from operators.policy.target import TargetSpec
-from pipeline import Tracks
+from pipeline import Scanpath, Tracks, codec
+from pipeline.node.operator_state import restore
+from pipeline.settings import build
 from pipeline.testing import drive
 from tests.operators.policy.made_up import tracks
 
 BALL = TargetSpec(label="ball")
 PERSON = (9, 1, 300.0, 300.0, 0.0)  # 40 px tall
+RESTS = (1, 0, 312.0, 316.0, 0.0)  # at the person's feet, 16 px wide
 Row = tuple[int, int, float, float, float]
 
 
-def playing(*objects: Row, seq: int = 0, unseen: tuple[int, ...] = ()) -> list[bool]:
-    """Return which objects of a first frame are in play."""
-    return in_play(tracks(seq, *objects, unseen=unseen), BALL, no_places()).tolist()
+def playing(frame: Tracks, places: Places) -> bool:
+    """Whether the first track of a frame is in play."""
+    return bool(in_play(frame, BALL, places)[0])
 
 
 @pytest.mark.parametrize(
     ("ball", "expected"),
     [
-        ((1, 0, 312.0, 316.0, 0.0), True),
-        ((1, 0, 400.0, 300.0, 0.0), False),
-        ((1, 0, 400.0, 300.0, 5.0), True),
-        ((1, 0, 400.0, 300.0, 1.0), False),
+        ((1, 0, 327.0, 300.0, 0.0), True),
+        ((1, 0, 329.0, 300.0, 0.0), False),
+        ((1, 0, 400.0, 300.0, 2.5), True),
+        ((1, 0, 400.0, 300.0, 2.3), False),
     ],
-    ids=["at somebody's feet", "alone", "alone, it rolls", "alone, it jitters"],
+    ids=["near a person", "just not near", "alone, it rolls", "alone, it jitters"],
 )
-def test_a_ball_is_in_play_if_it_moves_or_a_person_is_near(ball: Row, expected: bool):
-    assert playing(ball, PERSON)[0] is expected
+def test_a_ball_is_in_play_if_it_moves_or_a_person_is_near(ball: Row, expected: bool) -> None:
+    assert playing(tracks(0, ball, PERSON), no_places()) is expected
 
 
-def test_a_person_who_is_not_seen_is_near_to_nothing():
-    assert not playing((1, 0, 312.0, 316.0, 0.0), PERSON, unseen=(9,))[0]
+def test_a_person_is_near_who_was_missed_in_one_frame_and_not_one_who_is_gone() -> None:
+    frame = tracks(0, RESTS, PERSON, unseen=(9,))
+    assert playing(frame, no_places())
+
+    frame.visible[1] = False
+    assert not playing(frame, no_places())
 
 
-def test_what_moves_with_the_camera_does_not_move():
-    world = [(k, 0, 100.0 * k, 900.0, 7.0) for k in range(1, 6)]
-
-    assert playing(*world) == [False] * 5
-    assert playing(*world, (7, 0, 1500.0, 100.0, 1.0))[-1]
-
-
-def test_a_ball_that_rests_for_long_is_scenery_until_it_moves():
-    rests, rolls = (1, 0, 312.0, 316.0, 0.0), (1, 0, 322.0, 316.0, 5.0)
-    places, seen = no_places(), []
-    for seq in range(RESTED + 1):
-        frame = tracks(seq, rests, PERSON)
-        places = rested(places, frame, BALL)
-        seen.append(bool(in_play(frame, BALL, places)[0]))
-
-    assert seen == [True] * RESTED + [False]
-    frame = tracks(RESTED + 1, rolls, PERSON)
-    assert in_play(frame, BALL, rested(places, frame, BALL))[0]
+def rested(frames: int, *objects: Row, first: int = 0, before: Places | None = None) -> Places:
+    """Return the places after so many frames with these objects."""
+    places = before or no_places()
+    for seq in range(first, first + frames):
+        places = places_after(places, tracks(seq, *objects), BALL)
+    return places
 
 
-def test_a_place_keeps_its_age_under_another_id_and_while_it_is_hidden():
-    rests, renamed = (1, 0, 312.0, 316.0, 0.0), (2, 0, 314.0, 316.0, 0.0)
-    places = rested(no_places(), tracks(0, rests, PERSON), BALL)
-    frame = tracks(RESTED, renamed, PERSON)
+def test_a_ball_that_rests_for_long_is_scenery_until_it_moves() -> None:
+    places = rested(RESTED, RESTS, PERSON)
 
-    assert not in_play(frame, BALL, rested(places, frame, BALL))[0]
+    assert playing(tracks(RESTED - 1, RESTS, PERSON), places)
+    assert not playing(tracks(RESTED, RESTS, PERSON), places)
+    assert playing(tracks(RESTED, (1, 0, 312.0, 316.0, 5.0), PERSON), places)
 
 
-def test_a_place_without_a_candidate_is_forgotten():
-    places = rested(no_places(), tracks(0, (1, 0, 312.0, 316.0, 0.0)), BALL)
+def test_a_place_keeps_its_age_under_another_id_and_while_it_is_hidden_for_a_moment() -> None:
+    places = rested(RESTED - 20, RESTS, PERSON)
+    renamed = (2, 0, 314.0, 316.0, 0.0)
 
-    assert len(rested(places, tracks(FORGOTTEN, PERSON), BALL).at) == 1
-    assert len(rested(places, tracks(FORGOTTEN + 1, PERSON), BALL).at) == 0
+    places = rested(1, renamed, PERSON, first=RESTED, before=places)
+
+    assert not playing(tracks(RESTED, renamed, PERSON), places)
+
+
+def test_a_place_where_nothing_rests_is_forgotten() -> None:
+    places = rested(1, RESTS)
+
+    assert len(rested(1, PERSON, first=FORGOTTEN, before=places).at) == 1
+    assert len(rested(1, PERSON, first=FORGOTTEN + 1, before=places).at) == 0
+
+
+def test_what_rolls_past_makes_no_place_old() -> None:
+    places = no_places()
+    for seq in range(0, RESTED, 10):
+        places = rested(1, (1, 0, 312.0, 316.0, 5.0), PERSON, first=seq, before=places)
+
+    assert len(places.at) == 0
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_places_do_not_grow_without_limit(seed: int):
+def test_places_do_not_grow_without_limit(seed: int) -> None:
     rng, places = np.random.default_rng(seed), no_places()
-    for seq in range(30):
+    for seq in range(20):
         world = [(k, 0, *rng.uniform(0, 9000, 2), 0.0) for k in range(60)]
-        places = rested(places, tracks(seq, *world), BALL)
+        places = places_after(places, tracks(seq, *world), BALL)
 
     assert len(places.at) == len(places.since_seq) == len(places.seen_seq) == CAPACITY
-    assert places.seen_seq.max() == 29  # the newest are kept
+    assert places.seen_seq.max() == 19  # the newest are kept
 
 
-def test_only_candidates_of_the_class_in_sight_have_places():
-    frame = tracks(0, (1, 0, 100.0, 100.0, 0.0), (2, 0, 500.0, 100.0, 0.0), PERSON, unseen=(2,))
+def test_only_candidates_of_the_class_in_sight_have_places() -> None:
+    frame = tracks(0, RESTS, (2, 0, 500.0, 100.0, 0.0), PERSON, unseen=(2,))
 
-    assert rested(no_places(), frame, BALL).at.tolist() == [[100, 100]]
-
-
-def test_no_tracks_have_no_odds():
-    assert play_odds(tracks(0), BALL, rested(no_places(), tracks(0), BALL)).shape == (0,)
+    assert places_after(no_places(), frame, BALL).at.tolist() == [[312, 316]]
 
 
-@pytest.mark.parametrize("label", ["", "player"])
-def test_people_and_any_object_are_rated_as_without(label: str):
-    frame = tracks(0, (1, 0, 400.0, 300.0, 0.0), PERSON)
+def test_no_tracks_have_no_odds() -> None:
+    assert play_odds(tracks(0), BALL, places_after(no_places(), tracks(0), BALL)).shape == (0,)
 
-    assert play_odds(frame, TargetSpec(label=label), no_places()).tolist() == [0, 0]
-    assert play_odds(frame, BALL, no_places())[0] == np.float32(SCENERY)
+
+def test_odds_tell_what_is_in_play_from_what_is_not() -> None:
+    frame = tracks(0, RESTS, (2, 0, 900.0, 316.0, 0.0), PERSON)
+
+    np.testing.assert_allclose(play_odds(frame, BALL, no_places())[:2], (IN_PLAY, SCENERY))
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        TargetSpec(),
+        TargetSpec(label="player"),
+        TargetSpec(label="player", carriers=("robot",)),
+        TargetSpec(label="ball", carriers=()),
+        TargetSpec(label="ball", object_id=3),
+        TargetSpec(label="ball", box=(1, 1, 9, 9)),
+    ],
+    ids=["any object", "people", "people, others carry", "nobody carries", "an id", "a box"],
+)
+def test_rest_tells_nothing_of_people_of_what_nobody_handles_and_of_one_object(
+    spec: TargetSpec,
+) -> None:
+    assert not tells(spec)
+    assert tells(BALL)
 
 
 def world(seq: int) -> Tracks:
@@ -120,40 +151,64 @@ def world(seq: int) -> Tracks:
     return frame
 
 
-@pytest.mark.parametrize(("rule", "expected"), [(False, 1), (True, 2)])
-def test_a_spare_ball_is_passed_over_for_one_in_play(rule: bool, expected: int):
+def looked_at(path: Scanpath) -> list[float]:
+    """Return the middle of the window that is planned next."""
+    return ((path.boxes[0, :2] + path.boxes[0, 2:]) / 2).tolist()
+
+
+@pytest.mark.parametrize(("rule", "expected"), [(False, [1500, 800]), (True, [330, 316])])
+def test_a_spare_ball_is_passed_over_for_one_in_play(rule: bool, expected: list[float]) -> None:
     settings = {"target": "ball", "least_probability": 0.05, "in_play": rule}
 
     paths = drive(PursuitPolicy, [world(k) for k in range(6)], settings)
 
-    middle = (paths[-1].boxes[0, :2] + paths[-1].boxes[0, 2:]) / 2
-    wanted = (1500, 800) if expected == 1 else (330, 316)
-    np.testing.assert_allclose(middle, wanted, atol=1)
+    assert looked_at(paths[-1]) == expected
 
 
-def test_one_object_that_was_asked_for_is_followed_wherever_it_lies():
-    settings = {"prompt_box": (1492.0, 792.0, 1508.0, 808.0), "in_play": True}
+def test_the_consumer_is_told_of_one_object_that_was_asked_for_wherever_it_lies() -> None:
+    box = (1492.0, 792.0, 1508.0, 808.0)
+    settings = {"target": "ball", "prompt_box": box, "least_probability": 0.05, "in_play": True}
+    frames = [world(k) for k in range(4)]
+    for frame in frames:
+        frame.scores[0] = 0.9
 
-    paths = drive(PursuitPolicy, [world(k) for k in range(4)], settings)
-
-    assert [int(path.choice[0]) for path in paths] == [1] * 4
-
-
-def test_what_rests_is_known_after_a_swap():
-    settings = PursuitPolicySettings(target="ball", in_play=True)
-    before, after = PursuitPolicy(settings), PursuitPolicy(settings)
-    before.open()
-    after.open()
-    before.on_tracks(tracks(0, (1, 0, 312.0, 316.0, 0.0), PERSON))
-
-    after.restore(before.state())
-
-    assert after.state().places.at.tolist() == [[312, 316]]
+    assert [int(path.choice[0]) for path in drive(PursuitPolicy, frames, settings)] == [1] * 4
 
 
-def test_odds_tell_what_is_in_play_from_what_is_not():
-    frame = tracks(0, (1, 0, 312.0, 316.0, 0.0), (2, 0, 900.0, 320.0, 0.0), PERSON)
+def asked(target: str = "ball") -> PursuitPolicySettings:
+    given = {"target": target, "least_probability": 0.05, "in_play": True}
+    return build(PursuitPolicySettings, given, "policy")
 
-    found = play_odds(frame, BALL, no_places())
 
-    np.testing.assert_allclose(found[:2], (IN_PLAY, SCENERY))
+def opened() -> PursuitPolicy:
+    policy = PursuitPolicy(asked())
+    policy.open()
+    return policy
+
+
+def played(policy: PursuitPolicy, frames: range) -> Scanpath:
+    """Play a spot beside a person, and far away a fainter ball that rolls, and return the last."""
+    for seq in frames:
+        frame = tracks(seq, RESTS, PERSON, (2, 0, 1500.0, 800.0, 4.0))
+        frame.scores[:] = (0.7, 0.9, 0.4)
+        path = policy.on_tracks(frame)
+    return path
+
+
+def test_a_spot_beside_a_person_is_left_in_the_end_by_a_successor_too() -> None:
+    first, second = opened(), opened()
+    assert looked_at(played(first, range(RESTED - 1)))[0] < 400
+
+    assert restore(second, codec.dumps(first.state())) == "carried over"
+
+    assert looked_at(played(second, range(RESTED - 1, RESTED + 2)))[0] > 1400
+
+
+def test_another_target_has_no_places_yet() -> None:
+    policy = opened()
+    played(policy, range(5))
+    assert len(policy.state().places.at)
+
+    policy.on_settings(asked("player"))
+
+    assert not len(policy.state().places.at)

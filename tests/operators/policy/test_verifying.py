@@ -299,3 +299,22 @@ def test_frames_without_objects_are_searched() -> None:
     run = Run({})
 
     assert (run.policy.on_tracks(tracks(0)).boxes[:, 2] > 0).all()
+
+
+def test_a_ball_lost_beside_a_person_is_not_looked_for_at_that_person() -> None:
+    policy = Run({}, patience=4).policy
+    x, y = PLACES[1]
+    for seq in range(15):
+        ball = [(1, 0, x, y, 0.0)] if seq < 12 else []
+        person_x = x + 15.0 if seq < 12 else x + 900.0
+        frame = tracks(seq, *ball, (30, 1, person_x, y - 15.0, 0.0))
+        policy.on_features(
+            RoiFeatures(
+                header=frame.header, ids=np.array([1], np.int32),
+                features=np.zeros((1, 3), np.float32), genuine=np.array([0.99], np.float32),
+            )
+        )  # fmt: skip
+        path = policy.on_tracks(frame)
+        assert seq != 11 or path.choice[0] == 1
+
+    assert abs((path.boxes[0, 0] + path.boxes[0, 2]) / 2 - x) < 100
