@@ -64,7 +64,9 @@ def test_it_is_followed_as_by_the_learned_policy_also_after_a_swap() -> None:
 
 def test_a_box_can_be_given_to_a_policy_that_searches_and_a_class_again() -> None:
     policy = verifying(target="ball")
-    assert played(policy, range(1))[-1].choice[0] == -1  # it is looked at, not yet believed
+    (path,) = played(policy, range(1))
+    assert path.choice[0] == -1  # a ball is looked at, not yet believed
+    assert path.boxes[0].tolist() == [1492, 792, 1508, 808]
 
     policy.on_settings(build(VerifyingPolicySettings, ASKED, "policy"))
     assert played(policy, range(4, 8))[-1].choice[0] == 1
