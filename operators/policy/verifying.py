@@ -236,7 +236,8 @@ def locked_on(
         search = replace(search, kept=0, refuted=0, odds=float(odds[best]))
         return replace(now, locked=int(tracks.ids[best]), search=search)
     refuted = 0 if own < 0 or fit[own] else search.refuted + 1
-    if own < 0 or refuted >= (1 if search.followed else rules.patience):
+    of_its_class = own >= 0 and bool(np.isfinite(odds[own]))  # a kit may be misread for a moment
+    if own < 0 or refuted >= (1 if search.followed and of_its_class else rules.patience):
         return replace(now, locked=-1, search=replace(search, refuted=0))
     last = float(odds[own]) if np.isfinite(odds[own]) else search.odds  # -inf: of another class
     return replace(now, search=replace(search, refuted=refuted, odds=last))

@@ -179,6 +179,19 @@ def test_a_target_that_turns_out_to_be_of_another_class_is_let_go(least: float) 
     assert run.policy.state().locked == -1
 
 
+def test_a_target_that_was_followed_is_kept_while_its_class_is_misread_for_a_moment() -> None:
+    run = Run({1: 0.9}, patience=5)
+    run.looked_at(20, 1)
+
+    choices = []
+    for k in range(4):
+        frame = tracks(run.seq + k, (1, 1, *PLACES[1], 0.0))
+        choices.append(int(run.policy.on_tracks(frame).choice[0]))
+    choices.append(int(run.policy.on_tracks(world(run.seq + 4, 1)).choice[0]))
+
+    assert choices == [1] * 5
+
+
 def test_a_sure_target_is_not_left_for_one_that_the_context_takes_for_as_sure() -> None:
     run = Run({1: 0.999, 3: 0.5}, patience=50)
 
