@@ -222,7 +222,7 @@ def locked_on(
 
     That is a verified one, or one of which the context is sure enough that it needs no looks. One
     that has become unlikely is kept for `patience` frames or until another is verified; one that
-    was followed as long is lost at once, and waited for.
+    was followed as long is lost at once, and waited for, unless only its class is another one.
     """
     fit = now.verdicts.settled(tracks.ids)
     fit |= (probability(context_odds(tracks.scores)) >= SURE) & (tracks.visible.sum(1) >= PLAIN)
