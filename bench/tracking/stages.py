@@ -2,7 +2,8 @@
 
 What the loop computes from the context does not depend on where the ROI is. It is computed once for
 a clip, and every episode adds only policy, encoder and tracker. A test compares the result with the
-in-line runner on the shipped graph.
+in-line runner on the shipped graph. A detector that also looks where the sensor does
+(`MovedSaliency.roi`) is played without that, the same for every strategy.
 """
 
 from collections.abc import Mapping, Sequence

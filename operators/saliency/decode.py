@@ -36,8 +36,8 @@ class Candidates:
     scores: Array  # (n,) 0..1
     classes: NDArray[np.intp]  # (n,) row of the class in the output
 
-    def take(self, rows: NDArray[np.intp]) -> "Candidates":
-        """The named rows, in that order."""
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> "Candidates":
+        """The named rows, in that order, or those of a mask."""
         return Candidates(
             boxes=self.boxes[rows],
             angles=self.angles[rows],

@@ -5,6 +5,9 @@ detector's input they are gone, and read whole it takes a detector ten times as 
 it are looked at one by one, at full resolution, where the picture differs from what it was when
 that tile was last looked at. What was found in the other tiles is reported again: nothing there
 moved. Of a moving camera everything changes, and each tile has its turn.
+
+Where `roi` is connected, one more tile lies around the middle of the latest ROI: what the policy
+follows is looked at in every frame, however few tiles there is time for.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,18 +23,21 @@ from operators.saliency.difference import FrameDifference
 from operators.saliency.letterbox import Placement
 from operators.saliency.roi_align import roi_align
 from operators.saliency.saliency import Saliency, SaliencySettings, answer, nothing, rgb, to_sensor
-from operators.saliency.tiles import Changes, Grid, grid
+from operators.saliency.tiles import Changes, Part, grid, part_around
 from pipeline import Detections, Frame, Header, Input, Operator, SettingsError
 from pipeline.boxes import centres
 
 Array = NDArray[np.float32]
+Window = tuple[int, int, int, int]  # xyxy, sensor pixels
+RAISE_AFTER = 15  # frames without a miss before one more tile is tried
 
 
 @dataclass(frozen=True, kw_only=True)
 class MovedSaliencySettings(SaliencySettings):
     """What a graph may set; a tile has the size of the network's input."""
 
-    tiles: int = 8  # most that are looked at in one frame
+    tiles: int = 8  # most that are looked at in one frame, beside the one at the ROI
+    least_tiles: int = 0  # as few where frames are missed, until it keeps up; 0: always `tiles`
     overlap_px: int = 48  # of neighbouring tiles, context pixels: no less than people measure
     change_levels: float = 12.0  # of 255: a smaller difference of 4x4 pixels is noise
     refresh_frames: int = 100  # a tile without change is looked at again after as many
@@ -41,6 +47,10 @@ class MovedSaliencySettings(SaliencySettings):
         for name in ("tiles", "refresh_frames"):
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
+        if not 0 <= self.least_tiles <= self.tiles:
+            raise SettingsError(
+                f"least_tiles: must be within 0..{self.tiles} (tiles), got {self.least_tiles}"
+            )
         if not 0 <= self.overlap_px <= 256:
             raise SettingsError(f"overlap_px: must be within 0..256, got {self.overlap_px}")
         if not 0 < self.change_levels < 255:
@@ -49,18 +59,44 @@ class MovedSaliencySettings(SaliencySettings):
             )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How many tiles there is time for in a frame, as missed frames tell.
+
+    No clock decides: given the same frames it is the same.
+    """
+
+    tiles: int
+    seq: int = -1  # of the latest frame
+    kept_up: int = 0  # frames in succession
+
+    def after(self, seq: int, least: int, most: int) -> "Effort":
+        """Return it with one more frame: fewer tiles after a gap, after a while one more."""
+        if 0 <= self.seq < seq - 1:
+            fewer = self.tiles - max(1, self.tiles // 4)
+            return Effort(tiles=max(least, fewer), seq=seq)
+        if self.kept_up + 1 < RAISE_AFTER:
+            return replace(self, seq=seq, kept_up=self.kept_up + 1)
+        return Effort(tiles=min(most, self.tiles + 1), seq=seq)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Seen:
-    """What a tile showed when it was last looked at."""
+    """What parts of the context showed when they were last looked at."""
 
     found: Candidates  # boxes in context pixels
     features: Array  # (n, C)
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> "Seen":
+        """The named rows, in that order, or those of a mask."""
+        return Seen(found=self.found.take(rows), features=self.features[rows])
 
 
 class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
     """One answer per frame, boxes in sensor pixels, of all tiles as they were last seen."""
 
     frame = Input(Frame, keep="latest")
+    roi = Input(Frame, join=False)  # for its window
 
     @classmethod
     def advise(cls, settings: MovedSaliencySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
@@ -77,11 +113,19 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         self._shape: tuple[int, ...] = ()
         self._before = FrameDifference(fixed=True)
         self._window: tuple[int, ...] = ()
+        self._roi: Window | None = None
+        self._effort = Effort(tiles=self.settings.tiles)
 
     def on_stream(self, header: Header) -> None:
         """Forget all tiles: another stream shows something else."""
         self._shape = ()
         self._before.forget()
+        self._roi = None
+        self._effort = Effort(tiles=self._effort.tiles)
+
+    def on_roi(self, roi: Frame) -> None:
+        """Remember where the sensor looked."""
+        self._roi = roi.window if roi.pixels.size else None
 
     def summary(self) -> Mapping[str, Any]:
         """What the network runs on."""
@@ -108,15 +152,16 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         if picture.shape != self._shape:
             self._arrange(picture)
         difference = self._before.of(picture) if self._detector.reads_difference else None
-        due = self._changes.due(picture, self.settings.tiles, self.settings.refresh_frames)
-        for tile in due:
-            self._seen[tile] = look(self._detector, picture, difference, self._tiles, tile)
-            self._changes.looked(tile)
-        found, features = together(self._seen, self.settings, self._detector.channels)
+        if self.settings.least_tiles:
+            self._effort = self._effort.after(
+                frame.header.seq, self.settings.least_tiles, self.settings.tiles
+            )
+        self._look(picture, difference, frame)
+        found = best(self._seen, self.settings)
         whole = Placement(
             gain=1.0, left_px=0, top_px=0, width_px=picture.shape[1], height_px=picture.shape[0]
         )
-        return answer(frame, to_sensor(found, whole, frame), features, self._detector)
+        return answer(frame, to_sensor(found.found, whole, frame), found.features, self._detector)
 
     def _arrange(self, picture: NDArray[np.uint8]) -> None:
         self._shape = picture.shape
@@ -124,15 +169,44 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
             picture.shape[1], picture.shape[0], self._detector.size_px, self.settings.overlap_px
         )
         self._changes = Changes(self._tiles, levels=self.settings.change_levels)
-        self._seen: dict[int, Seen] = {}
+        self._seen = Seen(
+            found=nothing(), features=np.zeros((0, self._detector.channels), np.float32)
+        )
+
+    def _look(
+        self, picture: NDArray[np.uint8], difference: NDArray[np.int16] | None, frame: Frame
+    ) -> None:
+        """Look at the ROI's tile and up to `tiles` others of the picture; keep what they show."""
+        changes, rules = self._changes, self.settings
+        changes.compare(picture)
+        at_roi: list[tuple[Part, Part]] = []
+        if self._roi is not None:
+            middle, tile_px = middle_of(self._roi, frame), self._detector.size_px
+            at_roi = [part_around(middle, frame.size_px, tile_px, rules.overlap_px)]
+            changes.shown(at_roi[0][1])
+        due = changes.due(self._effort.tiles, rules.refresh_frames)
+        for tile in due:
+            changes.looked(tile)
+        parts = [(self._tiles.windows[tile], self._tiles.cores[tile]) for tile in due]
+        for window, core in parts + at_roi:  # what borders cut off counts least
+            shown = look(self._detector, picture, difference, window, core)
+            self._seen = replaced(self._seen, shown, core)
+
+
+def middle_of(roi: Window, frame: Frame) -> tuple[float, float]:
+    """The middle of a window of the sensor, in pixels of the picture that a frame shows."""
+    left, top, right, bottom = frame.window
+    width, height = frame.size_px
+    x, y = (roi[0] + roi[2]) / 2, (roi[1] + roi[3]) / 2
+    return (x - left) * width / max(1, right - left), (y - top) * height / max(1, bottom - top)
 
 
 def look(
     detector: Detector, picture: NDArray[np.uint8], difference: NDArray[np.int16] | None,
-    tiles: Grid, tile: int,
+    window: Part, core: Part,
 ) -> Seen:  # fmt: skip
-    """What a tile shows of the part that it owns; `difference` as `Detector.look` takes it."""
-    left, top, right, bottom = tiles.windows[tile]
+    """What a window shows within its core; `difference` as `Detector.look` takes it."""
+    left, top, right, bottom = window
     part = np.ascontiguousarray(picture[top:bottom, left:right])
     changed = None if difference is None else difference[top:bottom, left:right]
     found, at, features = detector.look(part, changed)
@@ -141,27 +215,32 @@ def look(
         appearance = roi_align(features, found.boxes, stride_px=FEATURE_STRIDE_PX)
     offset = np.array([at.left_px, at.top_px] * 2, np.float32)
     boxes = (found.boxes - offset) / np.float32(at.gain) + np.array([left, top] * 2, np.float32)
-    own = tiles.cores[tile]
+    return Seen(found=replace(found, boxes=boxes), features=appearance).take(within(boxes, core))
+
+
+def within(boxes: Array, part: Part) -> NDArray[np.bool_]:
+    """Whether the middle of each box (n, 4) is in a part: (n,)."""
     middle = centres(boxes)
-    kept = np.flatnonzero(((middle >= own[:2]) & (middle < own[2:])).all(1))
-    return Seen(found=replace(found, boxes=boxes).take(kept), features=appearance[kept])
+    return np.asarray(((middle >= part[:2]) & (middle < part[2:])).all(1))
 
 
-def together(
-    seen: Mapping[int, Seen], settings: SaliencySettings, channels: int
-) -> tuple[Candidates, Array]:
-    """What all tiles showed, best first; what two found on both sides of a border counts once."""
-    if not seen:
-        return nothing(), np.zeros((0, channels), np.float32)
-    parts = [item.found for item in seen.values()]
-    whole = Candidates(
-        boxes=np.concatenate([part.boxes for part in parts]),
-        angles=np.concatenate([part.angles for part in parts]),
-        scores=np.concatenate([part.scores for part in parts]),
-        classes=np.concatenate([part.classes for part in parts]),
+def replaced(seen: Seen, shown: Seen, core: Part) -> Seen:
+    """What was seen elsewhere, and what this part of the context shows now."""
+    rest = seen.take(~within(seen.found.boxes, core))
+    old, new = rest.found, shown.found
+    return Seen(
+        found=Candidates(
+            boxes=np.concatenate([old.boxes, new.boxes]),
+            angles=np.concatenate([old.angles, new.angles]),
+            scores=np.concatenate([old.scores, new.scores]),
+            classes=np.concatenate([old.classes, new.classes]),
+        ),
+        features=np.concatenate([rest.features, shown.features]),
     )
-    features = np.concatenate([item.features for item in seen.values()])
-    order = np.argsort(-whole.scores, kind="stable")
-    kept = suppress(whole.take(order), settings.nms_iou, agnostic=settings.class_agnostic)
-    rows = order[kept[: settings.max_objects]]
-    return whole.take(rows), features[rows]
+
+
+def best(seen: Seen, settings: SaliencySettings) -> Seen:
+    """The best of all that was seen; what two tiles found on both sides of a border counts once."""
+    order = np.argsort(-seen.found.scores, kind="stable")
+    kept = suppress(seen.found.take(order), settings.nms_iou, agnostic=settings.class_agnostic)
+    return seen.take(order[kept[: settings.max_objects]])

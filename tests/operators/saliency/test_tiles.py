@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from operators.saliency.tiles import Changes, grid
+from operators.saliency.tiles import Changes, grid, part_around
 
 TILE = (480, 288)
 SIZE = (1000, 600)
@@ -16,9 +16,14 @@ def picture(seed: int = 1) -> NDArray[np.uint8]:
     return np.asarray(rng.integers(60, 90, (SIZE[1], SIZE[0], 3)), np.uint8)
 
 
+def due(changes: Changes, now: NDArray[np.uint8], most: int, refresh: int) -> list[int]:
+    changes.compare(now)
+    return changes.due(most, refresh)
+
+
 def looked_at_all() -> Changes:
     changes = Changes(grid(*SIZE, TILE, 48), levels=12)
-    for tile in changes.due(picture(), 100, 50):
+    for tile in due(changes, picture(), 100, 50):
         changes.looked(tile)
     return changes
 
@@ -47,17 +52,17 @@ def test_neighbours_overlap_by_what_is_asked_for(width: int, overlap: int) -> No
 def test_what_was_never_seen_is_looked_at_first_and_then_nothing_unless_it_changes() -> None:
     changes = Changes(grid(*SIZE, TILE, 48), levels=12)
 
-    first = changes.due(picture(), 4, 50)
+    first = due(changes, picture(), 4, 50)
     for tile in first:
         changes.looked(tile)
-    second = changes.due(picture(), 100, 50)
+    second = due(changes, picture(), 100, 50)
     for tile in second:
         changes.looked(tile)
 
     assert len(first) == 4
     assert not set(first) & set(second)
     assert sorted(first + second) == list(range(9))
-    assert changes.due(picture(), 100, 50) == []
+    assert due(changes, picture(), 100, 50) == []
 
 
 def test_a_tile_is_due_where_something_moved() -> None:
@@ -65,20 +70,20 @@ def test_a_tile_is_due_where_something_moved() -> None:
     later = picture()
     later[20:40, 10:20] = 250
 
-    assert changes.due(later, 100, 50) == [0]
+    assert due(changes, later, 100, 50) == [0]
 
 
 def test_slow_motion_is_judged_by_what_the_tile_showed_when_it_was_looked_at() -> None:
     changes = looked_at_all()
 
     for brightness in range(2, 12, 2):  # each step is less than the noise
-        assert changes.due(picture() + np.uint8(brightness), 100, 50) == []
+        assert due(changes, picture() + np.uint8(brightness), 100, 50) == []
 
-    assert len(changes.due(picture() + np.uint8(14), 100, 50)) == 9
+    assert len(due(changes, picture() + np.uint8(14), 100, 50)) == 9
 
 
 def test_noise_is_no_change() -> None:
-    assert looked_at_all().due(picture(seed=2), 100, 50) == []
+    assert due(looked_at_all(), picture(seed=2), 100, 50) == []
 
 
 def test_a_tile_that_changes_little_has_its_turn_beside_one_that_changes_much() -> None:
@@ -88,10 +93,10 @@ def test_a_tile_that_changes_little_has_its_turn_beside_one_that_changes_much() 
         now = picture()
         now[400:600, 600:1000] = 90 + 40 * (k % 2) + 60  # the last tile, all of it, always
         now[20:24, 10 : 14 + 4 * (k % 2)] = 250  # the first, a little
-        due = changes.due(now, 1, 1000)
-        for tile in due:
+        first = due(changes, now, 1, 1000)
+        for tile in first:
             changes.looked(tile)
-        turns += due
+        turns += first
 
     assert 0 in turns
     assert turns.count(8) > turns.count(0)
@@ -100,6 +105,39 @@ def test_a_tile_that_changes_little_has_its_turn_beside_one_that_changes_much() 
 def test_a_tile_without_change_is_looked_at_again_after_a_while() -> None:
     changes = looked_at_all()
 
-    waited = [changes.due(picture(), 100, 5) for _ in range(5)]
+    waited = [due(changes, picture(), 100, 5) for _ in range(5)]
 
-    assert [len(due) for due in waited] == [0, 0, 0, 0, 9]
+    assert [len(tiles) for tiles in waited] == [0, 0, 0, 0, 9]
+
+
+@given(
+    st.integers(1, 3000), st.integers(1, 2000), st.floats(-4000, 4000), st.floats(-4000, 4000),
+    st.integers(0, 100),
+)  # fmt: skip
+@settings(max_examples=100, deadline=None)
+def test_a_tile_around_any_place_is_within_the_picture_and_owns_its_middle_where_it_can(
+    width: int, height: int, x: float, y: float, overlap: int
+) -> None:
+    window, core = part_around((x, y), (width, height), TILE, overlap)
+
+    size = np.array([width, height])
+    assert (window[2:] - window[:2] == np.minimum(TILE, size)).all()
+    assert (window[:2] >= 0).all()
+    assert (window[2:] <= size).all()
+    assert (core[:2] >= window[:2]).all()
+    assert (core[2:] <= window[2:]).all()
+    assert (core[:2] < core[2:]).all()
+    place = np.clip([x, y], 0, size - 1)
+    assert (core[:2] <= place).all()
+    assert (place < core[2:]).all()
+
+
+def test_what_was_shown_beside_the_tiles_is_no_change() -> None:
+    changes = looked_at_all()
+    later = picture()
+    later[20:40, 10:20] = later[500:520, 900:920] = 250
+
+    changes.compare(later)
+    changes.shown(np.array([0, 0, 100, 100]))
+
+    assert changes.due(100, 50) == [8]
