@@ -6,8 +6,8 @@ it are looked at one by one, at full resolution, where the picture differs from 
 that tile was last looked at. What was found in the other tiles is reported again: nothing there
 moved. Of a moving camera everything changes, and each tile has its turn.
 
-Where `roi` is connected, one more tile lies around the middle of the latest ROI: what the policy
-follows is looked at in every frame, however few tiles there is time for.
+Where `roi` is connected, one more tile lies at the latest ROI: what the policy follows is looked at
+in every frame, however few tiles there is time for.
 """
 
 from collections.abc import Iterable, Mapping
@@ -37,7 +37,9 @@ class MovedSaliencySettings(SaliencySettings):
     """What a graph may set; a tile has the size of the network's input."""
 
     tiles: int = 8  # most that are looked at in one frame, beside the one at the ROI
-    least_tiles: int = 0  # as few where frames are missed, until it keeps up; 0: always `tiles`
+    # as few where frames are missed, told by gaps in `seq`, so not for a sensor whose contexts are
+    # not numbered one by one; 0: always `tiles`
+    least_tiles: int = 0
     overlap_px: int = 48  # of neighbouring tiles, context pixels: no less than people measure
     change_levels: float = 12.0  # of 255: a smaller difference of 4x4 pixels is noise
     refresh_frames: int = 100  # a tile without change is looked at again after as many
@@ -60,7 +62,7 @@ class MovedSaliencySettings(SaliencySettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Effort:
+class TileBudget:
     """How many tiles there is time for in a frame, as missed frames tell.
 
     No clock decides: given the same frames it is the same.
@@ -70,14 +72,14 @@ class Effort:
     seq: int = -1  # of the latest frame
     kept_up: int = 0  # frames in succession
 
-    def after(self, seq: int, least: int, most: int) -> "Effort":
+    def after(self, seq: int, least: int, most: int) -> "TileBudget":
         """Return it with one more frame: fewer tiles after a gap, after a while one more."""
         if 0 <= self.seq < seq - 1:
             fewer = self.tiles - max(1, self.tiles // 4)
-            return Effort(tiles=max(least, fewer), seq=seq)
+            return TileBudget(tiles=max(least, fewer), seq=seq)
         if self.kept_up + 1 < RAISE_AFTER:
             return replace(self, seq=seq, kept_up=self.kept_up + 1)
-        return Effort(tiles=min(most, self.tiles + 1), seq=seq)
+        return TileBudget(tiles=min(most, self.tiles + 1), seq=seq)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,14 +116,14 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         self._before = FrameDifference(fixed=True)
         self._window: tuple[int, ...] = ()
         self._roi: Window | None = None
-        self._effort = Effort(tiles=self.settings.tiles)
+        self._budget = TileBudget(tiles=self.settings.tiles)
 
     def on_stream(self, header: Header) -> None:
         """Forget all tiles: another stream shows something else."""
         self._shape = ()
         self._before.forget()
         self._roi = None
-        self._effort = Effort(tiles=self._effort.tiles)
+        self._budget = TileBudget(tiles=self.settings.tiles)
 
     def on_roi(self, roi: Frame) -> None:
         """Remember where the sensor looked."""
@@ -143,6 +145,9 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         """Nothing must survive: a successor looks at all tiles within a few frames."""
 
     def on_frame(self, frame: Frame) -> Detections:
+        rules = self.settings
+        if rules.least_tiles:
+            self._budget = self._budget.after(frame.header.seq, rules.least_tiles, rules.tiles)
         if not frame.pixels.size:
             return answer(frame, nothing(), np.zeros((0, 0), np.float32), self._detector)
         picture = rgb(frame)
@@ -152,10 +157,6 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         if picture.shape != self._shape:
             self._arrange(picture)
         difference = self._before.of(picture) if self._detector.reads_difference else None
-        if self.settings.least_tiles:
-            self._effort = self._effort.after(
-                frame.header.seq, self.settings.least_tiles, self.settings.tiles
-            )
         self._look(picture, difference, frame)
         found = best(self._seen, self.settings)
         whole = Placement(
@@ -177,28 +178,31 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         self, picture: NDArray[np.uint8], difference: NDArray[np.int16] | None, frame: Frame
     ) -> None:
         """Look at the ROI's tile and up to `tiles` others of the picture; keep what they show."""
-        changes, rules = self._changes, self.settings
+        changes = self._changes
         changes.compare(picture)
-        at_roi: list[tuple[Part, Part]] = []
-        if self._roi is not None:
-            middle, tile_px = middle_of(self._roi, frame), self._detector.size_px
-            at_roi = [part_around(middle, frame.size_px, tile_px, rules.overlap_px)]
-            changes.shown(at_roi[0][1])
-        due = changes.due(self._effort.tiles, rules.refresh_frames)
+        last = []
+        if self._roi is not None and (roi := in_picture(self._roi, frame)) is not None:
+            tile_px, overlap_px = self._detector.size_px, self.settings.overlap_px
+            last = [part_around(roi, frame.size_px, tile_px, overlap_px)]
+            changes.looked_at(last[0][1])
+        due = changes.due(self._budget.tiles, self.settings.refresh_frames)
         for tile in due:
-            changes.looked(tile)
+            changes.looked_at_tile(tile)
         parts = [(self._tiles.windows[tile], self._tiles.cores[tile]) for tile in due]
-        for window, core in parts + at_roi:  # what borders cut off counts least
+        for window, core in parts + last:  # at the ROI it replaces what tiles tell
             shown = look(self._detector, picture, difference, window, core)
             self._seen = replaced(self._seen, shown, core)
 
 
-def middle_of(roi: Window, frame: Frame) -> tuple[float, float]:
-    """The middle of a window of the sensor, in pixels of the picture that a frame shows."""
-    left, top, right, bottom = frame.window
-    width, height = frame.size_px
-    x, y = (roi[0] + roi[2]) / 2, (roi[1] + roi[3]) / 2
-    return (x - left) * width / max(1, right - left), (y - top) * height / max(1, bottom - top)
+def in_picture(roi: Window, frame: Frame) -> NDArray[np.float64] | None:
+    """A window of the sensor in a frame's picture: (4,), its pixels; None if it is elsewhere."""
+    window = np.array(frame.window, np.float64)
+    sides = window[2:] - window[:2]
+    middle = (np.array(roi[:2]) + roi[2:]) / 2
+    if not ((window[:2] <= middle) & (middle < window[2:])).all():
+        return None
+    scale = np.array(frame.size_px) / sides
+    return np.concatenate([(roi[:2] - window[:2]) * scale, (roi[2:] - window[:2]) * scale])
 
 
 def look(

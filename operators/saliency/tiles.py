@@ -51,22 +51,27 @@ def _spans(length: int, tile: int, overlap: int) -> list[tuple[int, int, int, in
 
 
 def part_around(
-    middle: tuple[float, float], size_px: tuple[int, int], tile_px: tuple[int, int], overlap_px: int
+    roi: NDArray[np.float64], size_px: tuple[int, int], tile_px: tuple[int, int], overlap_px: int
 ) -> tuple[Part, Part]:
-    """A tile around a place in a picture of (width, height), and what it owns of it.
+    """The tile at a ROI (4,), and what it owns, in pixels of a picture of (width, height).
 
-    It owns nothing within half an overlap of its borders, where what it shows may be cut off,
-    unless the picture ends there. It moves by whole cells of a detector, so that what is at rest
-    is found at the same place while the middle moves.
+    Its middle is that of the ROI, and where the ROI ends with the picture, so does the tile: the
+    target is then beside the ROI's middle. It moves by whole cells of a detector, so that what is
+    at rest is found at the same place while the ROI moves. It owns nothing within half an overlap
+    of its borders, where what it shows may be cut off, unless the picture ends there.
 
-    >>> [part.tolist() for part in part_around((10, 500), (2040, 1148), (480, 288), 48)]
-    [[0, 352, 480, 640], [0, 376, 456, 616]]
+    >>> roi = np.array([530.0, 0, 1010, 270])
+    >>> [part.tolist() for part in part_around(roi, (1920, 1080), (384, 224), 48)]
+    [[576, 0, 960, 224], [600, 0, 936, 200]]
     """
     size, tile = np.array(size_px), np.minimum(tile_px, size_px)
-    begin = np.round(np.subtract(middle, tile / 2) / STRIDE_PX).astype(np.int64) * STRIDE_PX
-    begin = np.clip(begin, 0, size - tile)
+    cells = np.floor((roi[:2] + roi[2:] - tile) / 2 / STRIDE_PX + 0.5).astype(np.int64)
+    begin = np.clip(cells * STRIDE_PX, 0, size - tile)
+    first, last = roi[:2] <= 0, roi[2:] >= size
+    begin = np.where(first & ~last, 0, np.where(last & ~first, size - tile, begin))
     end = begin + tile
-    margin = overlap_px // 2
+    # the middle stays its own, by half a cell
+    margin = np.maximum(np.minimum(overlap_px, tile - STRIDE_PX) // 2, 0)
     inner = np.where(begin > 0, begin + margin, 0), np.where(end < size, end - margin, size)
     return np.concatenate([begin, end]), np.concatenate(inner)
 
@@ -107,13 +112,13 @@ class Changes:
         order = np.argsort(-urgency, kind="stable")
         return [int(tile) for tile in order[:most] if urgency[tile] > 0]
 
-    def looked(self, tile: int) -> None:
-        """Take note that a tile of the last picture was looked at."""
-        self.shown(self._tiles.cores[tile])
+    def looked_at_tile(self, tile: int) -> None:
+        """Take note that a tile of the last picture is looked at."""
+        self.looked_at(self._tiles.cores[tile])
         self._age[tile], self._seen[tile] = 0, True
 
-    def shown(self, part: Part) -> None:
-        """Take note that a part of the last picture was looked at."""
+    def looked_at(self, part: Part) -> None:
+        """Take note that a part of the last picture is looked at."""
         left, top, right, bottom = self._cells(part)
         self._reference[top:bottom, left:right] = self._now[top:bottom, left:right]
 
@@ -127,6 +132,7 @@ def coarse(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Brightness of each cell of 4x4 pixels: (h / 4, w / 4), at least one each."""
     height, width = picture.shape[:2]
     size = max(1, -(-width // SHRINK)), max(1, -(-height // SHRINK))
-    # the sum of three channels in one pass, then areas of one: half the time of the other order
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(
+        cv2.cvtColor(small, cv2.COLOR_RGB2GRAY) if small.ndim == 3 else small, np.uint8
+    )

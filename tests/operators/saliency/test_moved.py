@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from operators.saliency import MovedSaliency, Saliency, moved
-from operators.saliency.moved import RAISE_AFTER, Effort, MovedSaliencySettings, look
+from operators.saliency import MovedSaliency, Saliency
+from operators.saliency.moved import RAISE_AFTER, MovedSaliencySettings, TileBudget
 from operators.saliency.saliency import SHIPPED
 from pipeline import Detections, Frame, SettingsError
 from pipeline.testing import drive, header
@@ -103,96 +103,117 @@ def test_another_stream_begins_anew(one_in_each: str) -> None:
     assert (before, len(subject.on_frame(frame(3, flat())).boxes)) == ([1, 2, 3], 1)
 
 
-def looking_at(weights: str, **settings: int) -> MovedSaliency:
-    """One tile in each frame, and whatever lies around the ROI."""
-    rules = {"tiles": 1, "overlap_px": 0} | settings
-    subject = MovedSaliency(MovedSaliencySettings(weights=weights, **rules))  # type: ignore[arg-type]
-    subject.open()
-    subject.on_stream(header(0))
-    return subject
-
-
 def roi(*window: int) -> Frame:
     return Frame(header=header(0), pixels=np.zeros((8, 8, 3), np.uint8), window=window)  # type: ignore[arg-type]
 
 
-def around(x: float, y: float) -> Frame:
-    """An ROI whose middle is there in the context."""
-    return roi(int(8 * x) - 240, int(8 * y) - 144, int(8 * x) + 240, int(8 * y) + 144)
+def around(x: int, y: int, left: int = 0, top: int = 0) -> Frame:
+    """A ROI with its middle there in the context, which begins at `left`, `top` of the sensor."""
+    return roi(
+        left + 8 * x - 240, top + 8 * y - 144, left + 8 * x + 240, top + 8 * y + 144
+    )  # fmt: skip
 
 
-def found_at(subject: MovedSaliency, seq: int) -> list[list[float]]:
-    """Middles of what is found in a flat picture, context pixels."""
-    boxes = subject.on_frame(frame(seq, flat())).boxes
-    return ((boxes[:, :2] + boxes[:, 2:]) / 16).tolist()
+NO_ROI = Frame(header=header(0), pixels=np.zeros((0, 0, 3), np.uint8), window=(0, 0, 0, 0))
 
 
-def test_a_tile_around_the_roi_is_looked_at_in_every_frame_beside_the_others(
-    one_in_each: str,
-) -> None:
-    subject = looking_at(one_in_each)
-    middles = [[432.0, 208.0], [464.0, 208.0], [496.0, 208.0]]  # of whole cells of 32 pixels
-    found = []
+def found_at(
+    given_to: list[Frame | dict[str, Frame]], weights: str, **rules: int
+) -> list[list[list[float]]]:
+    """Middles of what is found in each frame, context pixels; one tile in each beside the ROI's."""
+    answers = drive(
+        MovedSaliency, given_to, {"weights": weights, "tiles": 1, "overlap_px": 0} | rules
+    )
+    return [
+        ((answer.boxes[:, :2] + answer.boxes[:, 2:]) / 16).tolist()
+        for answer in answers
+        if isinstance(answer, Detections)
+    ]
+
+
+def test_a_tile_at_the_roi_is_looked_at_in_every_frame_beside_the_others(one_in_each: str) -> None:
+    middles = [[432, 208], [464, 208], [496, 208]]  # of whole cells of 32 pixels
+    sent: list[Frame | dict[str, Frame]] = []
     for k, (x, y) in enumerate(middles):
-        subject.on_roi(around(x, y))
-        found.append(found_at(subject, k))
+        sent += [{"roi": around(x, y)}, frame(k, flat())]
+
+    found = found_at(sent, one_in_each)
 
     assert [middle in places for middle, places in zip(middles, found, strict=True)] == [True] * 3
-    # what it showed a frame ago is no more: each frame has one more of the four tiles, at most
+    # what it showed a frame before is no more
     assert [sum(place[1] == 208 for place in places) for places in found] == [1, 1, 1]
 
 
 def test_while_the_roi_moves_by_less_than_a_cell_its_tile_stays(one_in_each: str) -> None:
-    subject = looking_at(one_in_each)
-    found = []
-    for k, x in enumerate((425.0, 432.0, 439.0)):
-        subject.on_roi(around(x, 208))
-        found.append([432.0, 208.0] in found_at(subject, k))
+    sent: list[Frame | dict[str, Frame]] = []
+    for k, x in enumerate((425, 432, 439)):
+        sent += [{"roi": around(x, 208)}, frame(k, flat())]
 
-    assert found == [True, True, True]
+    assert [[432, 208] in places for places in found_at(sent, one_in_each)] == [True] * 3
 
 
-def test_at_the_border_the_tile_around_the_roi_ends_where_the_picture_does(
-    one_in_each: str,
+def test_the_tile_at_the_roi_replaces_what_overlapping_tiles_found_there(one_in_each: str) -> None:
+    sent = [frame(0, flat()), {"roi": around(496, 304)}, frame(1, flat())]
+
+    before, after = found_at(sent, one_in_each, tiles=9, overlap_px=48)
+
+    assert [480, 288] in before  # the middle one of nine
+    assert [480, 288] not in after
+    assert [496, 304] in after
+    assert len(after) == len(before) == 9
+
+
+def test_where_the_roi_ends_with_the_picture_so_does_its_tile(one_in_each: str) -> None:
+    sent = [{"roi": roi(2880, 1728, 7680, 4608)}, frame(0, flat())]
+
+    assert [960 - 240, 576 - 144] in found_at(sent, one_in_each)[0]
+
+
+def test_the_roi_is_found_in_a_context_that_shows_a_part_of_the_sensor(one_in_each: str) -> None:
+    part = Frame(header=header(0), pixels=flat(), window=(800, 400, 800 + 7680, 400 + 4608))
+
+    (answer,) = drive(
+        MovedSaliency,
+        [{"roi": around(432, 208, 800, 400)}, part],
+        {"weights": one_in_each, "tiles": 1, "overlap_px": 0},
+    )[1:]
+
+    assert isinstance(answer, Detections)
+    middles = (answer.boxes[:, :2] + answer.boxes[:, 2:]) / 2
+    assert [800 + 8 * 432, 400 + 8 * 208] in middles.tolist()
+
+
+@pytest.mark.parametrize(
+    "last", [NO_ROI, roi(8000, 5000, 8480, 5288)], ids=["no ROI", "outside of the context"]
+)
+def test_without_a_roi_in_the_context_the_tiles_are_as_they_were(
+    last: Frame, one_in_each: str
 ) -> None:
-    subject = looking_at(one_in_each)
+    sent = [{"roi": around(432, 208)}, {"roi": last}, frame(0, flat())]
 
-    subject.on_roi(roi(7600, 4500, 7680, 4608))
-
-    assert [960 - 240, 576 - 144] in found_at(subject, 0)
+    assert found_at(sent, one_in_each) == found_at([frame(0, flat())], one_in_each)
 
 
-def test_a_sensor_that_read_no_roi_leaves_the_tiles_alone(one_in_each: str) -> None:
-    subject, without = looking_at(one_in_each), looking_at(one_in_each)
-    subject.on_roi(roi(3200, 1600, 3680, 1888))
-    empty = Frame(header=header(0), pixels=np.zeros((0, 0, 3), np.uint8), window=(0, 0, 0, 0))
-    subject.on_roi(empty)
+def test_a_context_that_does_not_say_what_it_shows_has_no_tile_at_the_roi(one_in_each: str) -> None:
+    unsaid = Frame(header=header(0), pixels=flat(), window=(0, 0, 0, 0))
 
-    assert found_at(subject, 0) == found_at(without, 0)
+    with_roi = found_at([{"roi": around(432, 208)}, unsaid], one_in_each)
+
+    assert with_roi == found_at([unsaid], one_in_each)
 
 
 def test_another_stream_has_another_roi(one_in_each: str) -> None:
-    subject, without = looking_at(one_in_each), looking_at(one_in_each)
-    subject.on_roi(roi(3200, 1600, 3680, 1888))
-    subject.on_stream(replace(header(0), stream="another"))
+    other = replace(frame(0, flat()), header=replace(header(0), stream="another"))
+    sent = [{"roi": around(432, 208)}, other]
 
-    assert found_at(subject, 0) == found_at(without, 0)
-
-
-def test_a_context_that_does_not_say_what_it_shows_is_no_end(one_in_each: str) -> None:
-    subject = looking_at(one_in_each)
-    subject.on_roi(roi(3200, 1600, 3680, 1888))
-
-    found = subject.on_frame(Frame(header=header(0), pixels=flat(), window=(0, 0, 0, 0)))
-
-    assert len(found.boxes)
+    assert found_at(sent, one_in_each) == found_at([other], one_in_each)
 
 
 def tiles_at(seqs: list[int], *, least: int, most: int) -> list[int]:
-    effort, found = Effort(tiles=most), []
+    budget, found = TileBudget(tiles=most), []
     for seq in seqs:
-        effort = effort.after(seq, least, most)
-        found.append(effort.tiles)
+        budget = budget.after(seq, least, most)
+        found.append(budget.tiles)
     return found
 
 
@@ -201,46 +222,57 @@ def test_missed_frames_cost_a_quarter_of_the_tiles_and_one_at_least() -> None:
     assert tiles_at(list(range(0, 40, 2)), least=2, most=8)[-1] == 2
 
 
-def test_who_keeps_up_tries_one_tile_more_after_a_while() -> None:
-    kept_up = tiles_at([0, 2, *range(3, 3 + 3 * RAISE_AFTER)], least=1, most=8)
+def test_after_fifteen_frames_without_a_gap_there_is_one_tile_more() -> None:
+    found = tiles_at([0, 2, *range(3, 3 + 3 * RAISE_AFTER)], least=1, most=8)
 
-    assert kept_up[1] == 6
-    assert kept_up[1 + RAISE_AFTER : 3 + RAISE_AFTER] == [7, 7]
-    assert kept_up[-1] == 8
+    assert RAISE_AFTER == 15
+    assert found[1] == 6
+    assert found[RAISE_AFTER : RAISE_AFTER + 2] == [6, 7]
+    assert found[-1] == 8
 
 
-def test_who_misses_nothing_looks_at_all_tiles_always() -> None:
+def test_without_a_gap_there_are_all_tiles_always() -> None:
     assert set(tiles_at(list(range(100)), least=1, most=8)) == {8}
 
 
-@given(
-    st.lists(st.integers(1, 4), max_size=100), st.integers(1, 8), st.integers(0, 8)
-)  # fmt: skip
-def test_the_tiles_stay_within_what_is_set_and_depend_on_the_frames_alone(
-    steps: list[int], least: int, more: int
-) -> None:
+@given(st.lists(st.integers(-3, 4), max_size=100), st.integers(1, 8), st.integers(0, 8))
+def test_the_tiles_stay_within_what_is_set(steps: list[int], least: int, more: int) -> None:
     seqs = np.cumsum([0, *steps]).tolist()
 
     found = tiles_at(seqs, least=least, most=least + more)
 
     assert all(least <= tiles <= least + more for tiles in found)
-    assert found == tiles_at(seqs, least=least, most=least + more)
 
 
-@pytest.mark.parametrize(("least", "expected"), [(0, [4, 4, 4]), (1, [4, 3, 2])])
-def test_fewer_tiles_are_looked_at_only_where_the_graph_allows_it(
-    one_in_each: str, least: int, expected: list[int], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("least", "expected"), [(0, [4, 8, 9]), (1, [4, 7, 9])])
+def test_after_a_gap_fewer_tiles_are_looked_at_where_the_graph_allows_it(
+    one_in_each: str, least: int, expected: list[int]
 ) -> None:
-    looks = []
-    monkeypatch.setattr(moved, "look", lambda *part: looks.append(part) or look(*part))
-    subject = looking_at(one_in_each, tiles=4, least_tiles=least)
-    counts = []
-    for k, level in enumerate((80, 120, 160)):  # all four tiles change from frame to frame
-        looks.clear()
-        subject.on_frame(frame(2 * k, flat(level)))
-        counts.append(len(looks))
+    sent = [frame(seq, flat()) for seq in (0, 2, 4)]
 
-    assert counts == expected
+    found = answers(sent, one_in_each, tiles=4, overlap_px=48, least_tiles=least)
+
+    assert [len(answer.boxes) for answer in found] == expected
+
+
+def test_an_empty_picture_is_no_gap(one_in_each: str) -> None:
+    empty = Frame(header=header(1), pixels=np.zeros((0, 0, 3), np.uint8), window=(0, 0, 0, 0))
+
+    found = answers(
+        [frame(0, flat()), empty, frame(2, flat())],
+        one_in_each, tiles=4, overlap_px=48, least_tiles=1,
+    )  # fmt: skip
+
+    assert [len(answer.boxes) for answer in found] == [4, 0, 8]
+
+
+def test_another_stream_begins_with_all_tiles(one_in_each: str) -> None:
+    other = [replace(frame(k, flat()), header=replace(header(k), stream="b")) for k in (0, 1)]
+    sent = [*(frame(seq, flat()) for seq in (0, 2, 4)), *other]
+
+    found = answers(sent, one_in_each, tiles=4, overlap_px=48, least_tiles=1)
+
+    assert [len(answer.boxes) for answer in found] == [4, 7, 9, 4, 8]
 
 
 def test_an_empty_picture_finds_nothing(one_in_each: str) -> None:

@@ -24,7 +24,7 @@ def due(changes: Changes, now: NDArray[np.uint8], most: int, refresh: int) -> li
 def looked_at_all() -> Changes:
     changes = Changes(grid(*SIZE, TILE, 48), levels=12)
     for tile in due(changes, picture(), 100, 50):
-        changes.looked(tile)
+        changes.looked_at_tile(tile)
     return changes
 
 
@@ -54,10 +54,10 @@ def test_what_was_never_seen_is_looked_at_first_and_then_nothing_unless_it_chang
 
     first = due(changes, picture(), 4, 50)
     for tile in first:
-        changes.looked(tile)
+        changes.looked_at_tile(tile)
     second = due(changes, picture(), 100, 50)
     for tile in second:
-        changes.looked(tile)
+        changes.looked_at_tile(tile)
 
     assert len(first) == 4
     assert not set(first) & set(second)
@@ -95,7 +95,7 @@ def test_a_tile_that_changes_little_has_its_turn_beside_one_that_changes_much() 
         now[20:24, 10 : 14 + 4 * (k % 2)] = 250  # the first, a little
         first = due(changes, now, 1, 1000)
         for tile in first:
-            changes.looked(tile)
+            changes.looked_at_tile(tile)
         turns += first
 
     assert 0 in turns
@@ -110,34 +110,55 @@ def test_a_tile_without_change_is_looked_at_again_after_a_while() -> None:
     assert [len(tiles) for tiles in waited] == [0, 0, 0, 0, 9]
 
 
-@given(
-    st.integers(1, 3000), st.integers(1, 2000), st.floats(-4000, 4000), st.floats(-4000, 4000),
-    st.integers(0, 100),
-)  # fmt: skip
-@settings(max_examples=100, deadline=None)
-def test_a_tile_around_any_place_is_within_the_picture_and_owns_its_middle_where_it_can(
-    width: int, height: int, x: float, y: float, overlap: int
-) -> None:
-    window, core = part_around((x, y), (width, height), TILE, overlap)
+sides = st.integers(1, 3000)
 
-    size = np.array([width, height])
-    assert (window[2:] - window[:2] == np.minimum(TILE, size)).all()
+
+@given(
+    st.tuples(sides, sides), st.tuples(sides, sides), st.tuples(st.floats(0, 1), st.floats(0, 1)),
+    st.sampled_from([(480, 288), (384, 224), (64, 64), (32, 32)]), st.integers(0, 256),
+)  # fmt: skip
+@settings(max_examples=200, deadline=None)
+def test_the_tile_at_a_roi_is_within_the_picture_and_owns_the_middle_of_the_roi(
+    size: tuple[int, int], wide: tuple[int, int], at: tuple[float, float],
+    tile: tuple[int, int], overlap: int,
+) -> None:  # fmt: skip
+    roi_size = np.minimum(wide, size)
+    begin = np.array(at) * (np.array(size) - roi_size)
+    roi = np.concatenate([begin, begin + roi_size])
+
+    window, core = part_around(roi, size, tile, overlap)
+
+    assert (window[2:] - window[:2] == np.minimum(tile, size)).all()
     assert (window[:2] >= 0).all()
     assert (window[2:] <= size).all()
     assert (core[:2] >= window[:2]).all()
     assert (core[2:] <= window[2:]).all()
-    assert (core[:2] < core[2:]).all()
-    place = np.clip([x, y], 0, size - 1)
-    assert (core[:2] <= place).all()
-    assert (place < core[2:]).all()
+    middle = begin + roi_size / 2
+    inside = (core[:2] <= middle) & (middle < core[2:])
+    at_border = (roi[:2] <= 0) ^ (roi[2:] >= np.array(size))
+    assert (inside | at_border).all()
 
 
-def test_what_was_shown_beside_the_tiles_is_no_change() -> None:
+def test_where_a_roi_ends_with_the_picture_so_does_its_tile() -> None:
+    corners = [(0, 0, 480, 270), (1440, 810, 1920, 1080)]
+
+    found = [part_around(np.array(roi, float), (1920, 1080), (384, 224), 48) for roi in corners]
+
+    assert [core.tolist() for _, core in found] == [[0, 0, 360, 200], [1560, 880, 1920, 1080]]
+
+
+def test_a_roi_of_the_whole_picture_has_its_tile_in_the_middle() -> None:
+    window, _ = part_around(np.array([0.0, 0, 1920, 1080]), (1920, 1080), (384, 224), 48)
+
+    assert window.tolist() == [768, 416, 1152, 640]
+
+
+def test_what_was_looked_at_beside_the_tiles_is_no_change() -> None:
     changes = looked_at_all()
     later = picture()
     later[20:40, 10:20] = later[500:520, 900:920] = 250
 
     changes.compare(later)
-    changes.shown(np.array([0, 0, 100, 100]))
+    changes.looked_at(np.array([0, 0, 100, 100]))
 
     assert changes.due(100, 50) == [8]
