@@ -7,11 +7,10 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from bench.real_time import main, name_of, rotated, rows
+from bench.real_time import check, main, name_of, rotated, rows
 from pipeline.errors import RunError
 
-GRAPH = Path("mine.yaml")
-FIRST, SECOND = (GRAPH, "saliency.tiles=8"), (GRAPH, "saliency.tiles=2")
+FIRST, SECOND = "mine saliency.tiles=8", "mine saliency.tiles=2"
 
 
 def report(*, inside: float, iou: float = 0.5, p50: float = 30.0, visible: int = 100) -> Any:
@@ -33,7 +32,7 @@ def test_shares_are_means_over_the_frames_in_which_the_target_is_visible() -> No
     assert row["share in the ROI"] == pytest.approx((90 + 15) / 150)
     assert row["IoU"] == 0.5
     assert row["share in the ROI: above the first"] == ""
-    assert row["clips"] == 2
+    assert (row["frames scored"], row["clips"]) == (150, 2)
 
 
 def test_a_variant_stands_above_the_first_by_what_the_same_clips_gained() -> None:
@@ -43,12 +42,12 @@ def test_a_variant_stands_above_the_first_by_what_the_same_clips_gained() -> Non
 
     _, row = rows({FIRST: first, SECOND: second}, "ball")
 
-    assert row["variant"] == "mine saliency.tiles=2"
+    assert row["variant"] == SECOND
     assert row["share in the ROI: above the first"] == "+0.200 (+0.200 .. +0.200)"
     assert row["IoU: above the first"] == "-0.100 (-0.100 .. -0.100)"
 
 
-def test_delays_are_told_with_their_spread() -> None:
+def test_delays_have_their_spread() -> None:
     clips = {f"clip {k}": report(inside=1, p50=p50) for k, p50 in enumerate((30.0, 28.5, 41.2))}
 
     (row,) = rows({FIRST: clips}, "ball")
@@ -58,39 +57,55 @@ def test_delays_are_told_with_their_spread() -> None:
 
 
 def test_each_variant_is_the_first_to_run_in_its_turn() -> None:
-    orders = [rotated([FIRST, SECOND], turn) for turn in range(3)]
+    variants = [(Path("a.yaml"), ""), (Path("b.yaml"), "")]
 
-    assert [order[0] for order in orders] == [FIRST, SECOND, FIRST]
+    orders = [rotated(variants, turn) for turn in range(3)]
+
+    assert [order[0] for order in orders] == [variants[0], variants[1], variants[0]]
     assert [len(order) for order in orders] == [2, 2, 2]
 
 
-def test_a_variant_is_named_by_its_graph_and_its_setting() -> None:
+def test_a_variant_is_named_by_its_graph_and_its_setting_without_the_folder() -> None:
     assert name_of((Path("/a/mine.yaml"), "")) == "mine"
+    assert name_of((Path("/a/mine.yaml"), "saliency.weights=/a/b.onnx")).endswith("=b.onnx")
 
 
-def test_a_target_that_the_truth_does_not_have_is_told_with_those_that_it_has() -> None:
-    with pytest.raises(RunError, match=r"--target: expected one of ball \(clip 1\), got 'puck"):
-        list(rows({FIRST: {"clip 1": report(inside=1)}}, "puck"))
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"failure": "saliency died"}, "clip 1: saliency died"),
+        ({"frames": {"exposed": 70}}, "clip 1: expected 200 frames, got 70"),
+        ({"roi_coverage_frames": {"puck": 3}}, "expected a target of puck, scored, got 'ball'"),
+        ({"roi_coverage_frames": {"ball": 0}}, "expected a target of ball, scored, got 'ball'"),
+        ({"iou": None}, "expected a target of ball, scored, got 'ball'"),
+    ],
+)
+def test_a_run_that_is_no_measurement_is_refused_at_once(
+    change: dict[str, Any], sentence: str
+) -> None:
+    made = {**report(inside=1), **change}
+    made = {name: value for name, value in made.items() if value is not None}
+
+    with pytest.raises(RunError, match=sentence):
+        check(made, "ball", 200, "clip 1")
 
 
-def test_a_graph_that_scores_nothing_is_refused() -> None:
-    without = report(inside=1)
-    del without["iou"]
-
-    with pytest.raises(RunError, match=r"expected a graph with operators\.score:Score"):
-        list(rows({FIRST: {"clip 1": without}}, "ball"))
+def test_a_whole_run_is_a_measurement() -> None:
+    check(report(inside=1), "ball", 200, "clip 1")
 
 
-def test_without_a_graph_nothing_runs() -> None:
-    result = CliRunner().invoke(main, [])
+def test_variants_of_one_name_are_refused_before_anything_runs() -> None:
+    result = CliRunner().invoke(main, ["tracking", "tracking"])
 
-    assert result.exit_code == 2
-    assert "expected a graph, got none" in result.output
+    assert result.exit_code == 1
+    assert "expected variants of different names, got tracking twice" in result.output
 
 
-def test_a_graph_of_processes_is_run_with_each_setting(tmp_path: Path) -> None:
+@pytest.mark.lengthy
+def test_graphs_of_processes_run_with_each_setting_in_turns(tmp_path: Path) -> None:
     file = tmp_path / "made.json"
-    asked = ["tracking", "--each", "policy.patience=12"]
+    settings = ["policy.patience=12", "policy.patience=24"]
+    asked = ["tracking", "--each", settings[0], "--each", settings[1]]
 
     result = CliRunner().invoke(
         main, [*asked, "--clips", "1", "--frames", "20", "--json", str(file)]
@@ -98,5 +113,5 @@ def test_a_graph_of_processes_is_run_with_each_setting(tmp_path: Path) -> None:
 
     assert result.exit_code == 0, result.output
     made = json.loads(file.read_text())
-    assert [row["variant"] for row in made["rows"]] == [f"tracking {x}" for x in asked[2::2]]
+    assert [row["variant"] for row in made["rows"]] == [f"tracking {one}" for one in settings]
     assert made["rows"][0]["clips"] == 1
