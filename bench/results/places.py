@@ -69,6 +69,10 @@ PLACES = {
         section="Tracking under a pixel budget", order=32,
         title="The learned policy beside the rule pursuit, one target",
     ),
+    "real_time": Place(
+        section="Tracking under a pixel budget", order=32,
+        title="Variants of a graph in real time, one target",
+    ),
     "second_look": Place(
         section="Tracking under a pixel budget", order=33,
         title="A ball rated above another candidate, by context, and by detector and encoder",
