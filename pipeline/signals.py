@@ -16,7 +16,9 @@ from types import FrameType
 from typing import Any
 
 LAST_RESORT_S = 30.0  # for cleaning up, after that the kernel ends the process
-AGAIN_S = 0.01  # until an exception that Python dropped is raised again
+# until an exception that Python dropped is raised again: the hook that was told of it has to end
+# before, also on a slow machine, or it is dropped once more
+AGAIN_S = 0.1
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")  # SIGHUP does not exist on every system
 Handler = Callable[[int, FrameType | None], Any]
 
