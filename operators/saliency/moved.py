@@ -25,10 +25,9 @@ from operators.saliency.roi_align import roi_align
 from operators.saliency.saliency import Saliency, SaliencySettings, answer, nothing, rgb, to_sensor
 from operators.saliency.tiles import Changes, Part, grid, part_around
 from pipeline import Detections, Frame, Header, Input, Operator, SettingsError
-from pipeline.boxes import centres
+from pipeline.boxes import centres, in_picture
 
 Array = NDArray[np.float32]
-Window = tuple[int, int, int, int]  # xyxy, sensor pixels
 RAISE_AFTER = 15  # frames without a miss before one more tile is tried
 
 
@@ -115,7 +114,7 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         self._shape: tuple[int, ...] = ()
         self._before = FrameDifference(fixed=True)
         self._window: tuple[int, ...] = ()
-        self._roi: Window | None = None
+        self._roi: Array | None = None  # (4,) xyxy, sensor pixels
         self._budget = TileBudget(tiles=self.settings.tiles)
 
     def on_stream(self, header: Header) -> None:
@@ -127,7 +126,7 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
 
     def on_roi(self, roi: Frame) -> None:
         """Remember where the sensor looked."""
-        self._roi = roi.window if roi.pixels.size else None
+        self._roi = np.array(roi.window, np.float32) if roi.pixels.size else None
 
     def summary(self) -> Mapping[str, Any]:
         """What the network runs on."""
@@ -181,8 +180,9 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         changes = self._changes
         changes.compare(picture)
         last = []
-        if self._roi is not None and (roi := in_picture(self._roi, frame)) is not None:
+        if self._roi is not None and within(self._roi[None], np.array(frame.window))[0]:
             tile_px, overlap_px = self._detector.size_px, self.settings.overlap_px
+            roi = in_picture(self._roi, frame)
             last = [part_around(roi, frame.size_px, tile_px, overlap_px)]
             changes.looked_at(last[0][1])
         due = changes.due(self._budget.tiles, self.settings.refresh_frames)
@@ -192,17 +192,6 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         for window, core in parts + last:  # at the ROI it replaces what tiles tell
             shown = look(self._detector, picture, difference, window, core)
             self._seen = replaced(self._seen, shown, core)
-
-
-def in_picture(roi: Window, frame: Frame) -> NDArray[np.float64] | None:
-    """A window of the sensor in a frame's picture: (4,), its pixels; None if it is elsewhere."""
-    window = np.array(frame.window, np.float64)
-    sides = window[2:] - window[:2]
-    middle = (np.array(roi[:2]) + roi[2:]) / 2
-    if not ((window[:2] <= middle) & (middle < window[2:])).all():
-        return None
-    scale = np.array(frame.size_px) / sides
-    return np.concatenate([(roi[:2] - window[:2]) * scale, (roi[2:] - window[:2]) * scale])
 
 
 def look(

@@ -51,7 +51,7 @@ def _spans(length: int, tile: int, overlap: int) -> list[tuple[int, int, int, in
 
 
 def part_around(
-    roi: NDArray[np.float64], size_px: tuple[int, int], tile_px: tuple[int, int], overlap_px: int
+    roi: NDArray[np.float32], size_px: tuple[int, int], tile_px: tuple[int, int], overlap_px: int
 ) -> tuple[Part, Part]:
     """The tile at a ROI (4,), and what it owns, in pixels of a picture of (width, height).
 
@@ -60,14 +60,14 @@ def part_around(
     at rest is found at the same place while the ROI moves. It owns nothing within half an overlap
     of its borders, where what it shows may be cut off, unless the picture ends there.
 
-    >>> roi = np.array([530.0, 0, 1010, 270])
+    >>> roi = np.array([530, 0, 1010, 270], np.float32)
     >>> [part.tolist() for part in part_around(roi, (1920, 1080), (384, 224), 48)]
     [[576, 0, 960, 224], [600, 0, 936, 200]]
     """
     size, tile = np.array(size_px), np.minimum(tile_px, size_px)
     cells = np.floor((roi[:2] + roi[2:] - tile) / 2 / STRIDE_PX + 0.5).astype(np.int64)
     begin = np.clip(cells * STRIDE_PX, 0, size - tile)
-    first, last = roi[:2] <= 0, roi[2:] >= size
+    first, last = roi[:2] < 0.5, roi[2:] > size - 0.5  # a ROI that is not rounded ends there, too
     begin = np.where(first & ~last, 0, np.where(last & ~first, size - tile, begin))
     end = begin + tile
     # the middle stays its own, by half a cell

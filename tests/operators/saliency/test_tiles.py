@@ -124,7 +124,7 @@ def test_the_tile_at_a_roi_is_within_the_picture_and_owns_the_middle_of_the_roi(
 ) -> None:  # fmt: skip
     roi_size = np.minimum(wide, size)
     begin = np.array(at) * (np.array(size) - roi_size)
-    roi = np.concatenate([begin, begin + roi_size])
+    roi = np.concatenate([begin, begin + roi_size]).astype(np.float32)
 
     window, core = part_around(roi, size, tile, overlap)
 
@@ -133,22 +133,24 @@ def test_the_tile_at_a_roi_is_within_the_picture_and_owns_the_middle_of_the_roi(
     assert (window[2:] <= size).all()
     assert (core[:2] >= window[:2]).all()
     assert (core[2:] <= window[2:]).all()
-    middle = begin + roi_size / 2
+    middle = (roi[:2] + roi[2:]) / 2
     inside = (core[:2] <= middle) & (middle < core[2:])
-    at_border = (roi[:2] <= 0) ^ (roi[2:] >= np.array(size))
+    at_border = (roi[:2] < 0.5) ^ (roi[2:] > np.array(size) - 0.5)
     assert (inside | at_border).all()
 
 
 def test_where_a_roi_ends_with_the_picture_so_does_its_tile() -> None:
     corners = [(0, 0, 480, 270), (1440, 810, 1920, 1080)]
 
-    found = [part_around(np.array(roi, float), (1920, 1080), (384, 224), 48) for roi in corners]
+    found = [
+        part_around(np.array(roi, np.float32), (1920, 1080), (384, 224), 48) for roi in corners
+    ]
 
     assert [core.tolist() for _, core in found] == [[0, 0, 360, 200], [1560, 880, 1920, 1080]]
 
 
 def test_a_roi_of_the_whole_picture_has_its_tile_in_the_middle() -> None:
-    window, _ = part_around(np.array([0.0, 0, 1920, 1080]), (1920, 1080), (384, 224), 48)
+    window, _ = part_around(np.array([0, 0, 1920, 1080], np.float32), (1920, 1080), (384, 224), 48)
 
     assert window.tolist() == [768, 416, 1152, 640]
 
