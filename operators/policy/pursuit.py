@@ -6,6 +6,7 @@ A small ball is lost by false locks rather than by bad predictions, hence these 
 
 - A candidate must have been seen in `confirm` frames, and a rival must be better by a margin for
   `confirm` frames in succession, before the gaze changes.
+- Asked for by class, one that is misread is kept until another of the class is seen.
 - A target unseen for a few frames that was last near a person is carried by them: look there.
 - A candidate of a class is the target where its odds allow it, by its score and by what the ROI
   showed of it (verdicts.py): a weak one only once it was verified, and no longer when refuted.
@@ -112,6 +113,13 @@ class PursuitState:
     sightings: Sightings = field(default_factory=none_seen)
     verdicts: Verdicts = field(default_factory=none_given)
     places: Places = field(default_factory=no_places)  # where candidates are at rest
+
+    @property
+    def wanted(self) -> str:
+        """The class asked for; of one object, and without a class, that of what was locked."""
+        if self.spec.one or not self.spec.label:
+            return self.target or self.spec.label
+        return self.spec.label
 
     def asked_for(self, spec: TargetSpec) -> "PursuitState":
         """Return the state for this target, reset if the target is another one; keep verdicts."""
@@ -248,7 +256,7 @@ def eligible(
     tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings, log_odds: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
     """Return which tracks may be the target: (n,)."""
-    fit = of_class(tracks, now.target or now.spec.label) & tracks.visible[:, -1]
+    fit = of_class(tracks, now.wanted) & tracks.visible[:, -1]
     fit &= now.sightings.counts >= rules.confirm
     return fit & likely(log_odds, rules)
 
@@ -298,11 +306,15 @@ def regained(
 def challenged(
     tracks: Tracks, now: State, rules: PursuitPolicySettings, log_odds: NDArray[np.float32]
 ) -> State:
-    """Change to a rival that has been clearly better for `confirm` frames in succession."""
+    """Change to a rival that has been clearly better for `confirm` frames in succession.
+
+    To a target that is no longer taken for one of its class any rival of that class is better.
+    """
     fit = eligible(tracks, now, rules, log_odds)
     own = row_of(tracks, now.locked)
     best = int(np.where(fit, log_odds, -np.inf).argmax())
-    if not fit[best] or log_odds[best] <= log_odds[own] + MARGIN:
+    to_beat = log_odds[own] + MARGIN if of_class(tracks, now.wanted)[own] else -np.inf
+    if not fit[best] or log_odds[best] <= to_beat:
         return replace(now, rival=-1, rival_frames=0)
     rival = int(tracks.ids[best])
     frames = now.rival_frames + 1 if rival == now.rival else 1
@@ -343,7 +355,7 @@ def unlocked(tracks: Tracks, now: State, rules: SearchSettings) -> tuple[GazePla
         return stay(now.box, horizon), now
     ahead = header.seq + 1 + np.arange(horizon)
     if now.seen_seq < 0 or header.seq - now.seen_seq > rules.patience:
-        crowd = busiest(tracks, spec, now.target or spec.label)
+        crowd = busiest(tracks, spec, now.wanted)
         if crowd is not None:
             return stay(crowd, horizon), now
     if now.seen_seq < 0:

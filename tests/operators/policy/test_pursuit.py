@@ -46,6 +46,26 @@ def test_a_clearly_better_rival_takes_over_after_three_frames():
     assert first_choices(pursue(*frames, **BALL)) == [1, 1, 1, 1, 2, 2]
 
 
+def test_a_target_whose_class_is_misread_is_kept_until_one_of_its_class_is_seen():
+    sure = [tracks(k, (1, 0, 300, 300, 0)) for k in range(3)]
+    misread = [tracks(k, (1, 1, 300, 300, 0)) for k in range(3, 6)]
+    beside_a_faint_one = [tracks(k, (1, 1, 300, 300, 0), (2, 0, 900, 300, 0)) for k in range(6, 10)]
+    for frame in beside_a_faint_one:
+        frame.scores[:] = (0.9, 0.2)
+
+    paths = pursue(*sure, *misread, *beside_a_faint_one, **BALL)
+
+    assert first_choices(paths) == [1] * 6 + [1, 1, 2, 2]
+
+
+def test_after_a_misread_target_no_other_class_is_followed():
+    sure = [tracks(k, (1, 0, 300, 300, 0), (2, 1, 900, 300, 0)) for k in range(3)]
+    misread = [tracks(k, (1, 1, 300, 300, 0), (2, 1, 900, 300, 0)) for k in range(3, 6)]
+    gone = [tracks(k, (2, 1, 900, 300, 0)) for k in range(6, 9)]
+
+    assert first_choices(pursue(*sure, *misread, *gone, **BALL)) == [1] * 6 + [-1] * 3
+
+
 def test_a_target_asked_for_by_box_is_the_track_that_overlaps_it_best():
     world = [tracks(k, (1, 1, 300, 300, 0), (2, 1, 330, 300, 0)) for k in range(2)]
 
