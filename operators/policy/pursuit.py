@@ -6,7 +6,7 @@ A small ball is lost by false locks rather than by bad predictions, hence these 
 
 - A candidate must have been seen in `confirm` frames, and a rival must be better by a margin for
   `confirm` frames in succession, before the gaze changes.
-- Asked for by class, one that is misread is kept until another of the class is seen.
+- A target asked for by class that is misread is kept until another of that class is seen.
 - A target unseen for a few frames that was last near a person is carried by them: look there.
 - A candidate of a class is the target where its odds allow it, by its score and by what the ROI
   showed of it (verdicts.py): a weak one only once it was verified, and no longer when refuted.
@@ -313,7 +313,8 @@ def challenged(
     fit = eligible(tracks, now, rules, log_odds)
     own = row_of(tracks, now.locked)
     best = int(np.where(fit, log_odds, -np.inf).argmax())
-    to_beat = log_odds[own] + MARGIN if of_class(tracks, now.wanted)[own] else -np.inf
+    of_its_class = of_class(tracks, now.spec.label)[own]  # without a class asked for: always
+    to_beat = log_odds[own] + MARGIN if of_its_class else -np.inf
     if not fit[best] or log_odds[best] <= to_beat:
         return replace(now, rival=-1, rival_frames=0)
     rival = int(tracks.ids[best])
@@ -325,17 +326,19 @@ def challenged(
 
 def noted(tracks: Tracks, row: int, now: State, spec: TargetSpec) -> State:
     """Remember where the target is, what it is and who is beside it."""
-    box, target = tracks.boxes[row, -1], tracks.name_of(row)
+    box = tracks.boxes[row, -1]
     if not tracks.visible[row, -1]:
         # prompted while undetected: its absence counts from now
         return replace(
             now, box=box, seen_seq=now.seen_seq if now.seen_seq >= 0 else tracks.header.seq
         )
-    rows = np.flatnonzero(can_carry(tracks, spec.carriers, target))
+    now = replace(now, target=tracks.name_of(row))
+    could = can_carry(tracks, spec.carriers, now.wanted)
+    could[row] = False  # misread as a person
+    rows = np.flatnonzero(could)
     at, _ = nearest(box, tracks.boxes[rows, -1], CARRIER_REACH * float(sizes(box[None])[0]))
     return replace(
         now,
-        target=target,
         box=box,
         seen_seq=tracks.header.seq,
         carrier_id=int(tracks.ids[rows[at]]) if at >= 0 else -1,

@@ -66,6 +66,44 @@ def test_after_a_misread_target_no_other_class_is_followed():
     assert first_choices(pursue(*sure, *misread, *gone, **BALL)) == [1] * 6 + [-1] * 3
 
 
+def test_without_a_prompt_a_change_of_class_does_not_move_the_gaze():
+    frames = [tracks(k, (1, int(k > 2), 300, 300, 0), (2, 1, 900, 300, 0)) for k in range(6)]
+    for frame in frames:
+        frame.scores[:] = (0.9, 0.2)
+
+    assert first_choices(pursue(*frames, confirm=1)) == [1] * 6
+
+
+def test_a_ball_lost_while_it_is_misread_is_looked_for_where_most_people_are():
+    crowd = [(10 + k, 1, 1540.0 + 20 * k, 800.0, 0.0) for k in range(4)]
+    seen = [tracks(k, (1, 0, 300, 300, 0), *crowd) for k in range(3)]
+    misread = [tracks(k, (1, 1, 300, 300, 0), *crowd) for k in range(3, 5)]
+
+    path = pursue(*seen, *misread, tracks(5, *crowd), patience=0, **BALL)[-1]
+
+    assert path.choice[0] == -1
+    np.testing.assert_allclose(path.boxes[0], [1520, 780, 1560, 820])
+
+
+def test_a_ball_lost_while_it_is_misread_beside_a_person_is_looked_for_at_that_person():
+    seen = [tracks(k, (1, 0, 300, 300, 0), (2, 1, 320, 300, 0)) for k in range(3)]
+    misread = [tracks(k, (1, 1, 300, 300, 0), (2, 1, 320, 300, 0)) for k in range(3, 5)]
+
+    path = pursue(*seen, *misread, tracks(5, (2, 1, 340, 310, 2)), **BALL)[-1]
+
+    assert path.choice[0] == -1
+    np.testing.assert_allclose(path.boxes[0], [322, 290, 362, 330])
+
+
+def test_one_object_is_found_again_by_its_own_class_whatever_class_is_set():
+    start = [tracks(k, (1, 1, 300, 300, 0)) for k in range(3)]
+    back = [tracks(k, (7, 1, 330, 300, 0)) for k in range(4, 7)]
+
+    paths = pursue(*start, tracks(3), *back, target_id=1, **BALL)
+
+    assert first_choices(paths) == [1, 1, 1, -1, 7, 7, 7]
+
+
 def test_a_target_asked_for_by_box_is_the_track_that_overlaps_it_best():
     world = [tracks(k, (1, 1, 300, 300, 0), (2, 1, 330, 300, 0)) for k in range(2)]
 
