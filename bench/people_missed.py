@@ -119,34 +119,46 @@ def least_confidence(scores: Array, right: NDArray[np.bool_], precision: float) 
     return float(scores[order][fit[-1]]) if len(fit) else None
 
 
-def of_sequence(folder: Path, looker: Looker, every: int) -> Iterator[tuple[Labelled, Found]]:
-    """Yield the frames of a SoccerNet folder, shrunk, and what was found in them."""
+def frames_of(folder: Path, every: int) -> Iterator[tuple[Labelled, int]]:
+    """Yield the frames of a SoccerNet folder and their indices."""
     source = SoccerNetSequence(path=str(folder))
     truths = truths_of(source)
     if not truths:
         raise DriverError(f"{folder}: expected a sequence with its truth, got none")
     for k in track(range(0, len(truths), every), folder.name, console=Console(stderr=True)):
-        small = looker.shrink(labelled(source, k, truths[k]))
+        yield labelled(source, k, truths[k]), k
+    source.close()
+
+
+def of_sequence(folder: Path, looker: Looker, every: int) -> Iterator[tuple[Labelled, Found]]:
+    """Yield the frames of a SoccerNet folder, shrunk, and what was found in them."""
+    source = SoccerNetSequence(path=str(folder))
+    for whole, k in frames_of(folder, every):
+        small = looker.shrink(whole)
         yield small, looker.look(small.picture, changed(looker, source, k, small))
     source.close()
 
 
-def of_stills(folder: Path, looker: Looker, split: str) -> Iterator[tuple[Labelled, Found]]:
-    """Yield the stills of a split, shrunk, and what was found in them."""
+def stills_of(folder: Path, split: str) -> Iterator[Labelled]:
+    """Yield the stills of a split, with the numbers of `NAMES`."""
     known = class_names(folder / "data.yaml")
     own = {k: KNOWN.get(name, name) for k, name in known.items()}
     if other := sorted(set(own.values()) - set(NAMES)):
         raise SettingsError(f"{folder}: expected classes {', '.join(NAMES)}, got {other[0][:40]}")
     number = {k: NAMES.index(name) for k, name in own.items()}
     for file in track(of_split(folder, split), folder.name, console=Console(stderr=True)):
-        small = looker.shrink(read_labelled(file))
-        if unknown := {int(k) for k in small.numbers} - number.keys():
+        still = read_labelled(file)
+        if unknown := {int(k) for k in still.numbers} - number.keys():
             raise DriverError(f"{file}: expected a class of data.yaml, got {min(unknown)}")
-        numbers = np.array([number[int(k)] for k in small.numbers], np.int64)
-        yield (
-            Labelled(picture=small.picture, boxes=small.boxes, numbers=numbers),
-            looker.look(small.picture),
-        )
+        numbers = np.array([number[int(k)] for k in still.numbers], np.int64)
+        yield Labelled(picture=still.picture, boxes=still.boxes, numbers=numbers)
+
+
+def of_stills(folder: Path, looker: Looker, split: str) -> Iterator[tuple[Labelled, Found]]:
+    """Yield the stills of a split, shrunk, and what was found in them."""
+    for still in stills_of(folder, split):
+        small = looker.shrink(still)
+        yield small, looker.look(small.picture)
 
 
 def rows_of(

@@ -9,9 +9,9 @@ above another candidate, by each score alone and together, and by the gains in u
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
 
 import click
 import cv2
@@ -53,17 +53,22 @@ RATED = {
     "score in the ROI and encoder": (1, 2), "all three": (0, 1, 2),
 }  # fmt: skip
 Array = NDArray[np.float64]
+Boxes = NDArray[np.float32]
 IN_USE = np.array([*SEEN, OF_SCORE, OF_ENCODER])
 
 
 class Looks:
-    """The networks of `graphs/tracking.yaml` with its settings, on one thread."""
+    """The networks of `graphs/tracking.yaml` with its settings, on one thread.
 
-    def __init__(self) -> None:
+    `confidence` is that of classes in the ROI, where it is not the graph's.
+    """
+
+    def __init__(self, confidence: Mapping[str, float] = MappingProxyType({})) -> None:
         nodes = {node.name: dict(node.settings) for node in load(GRAPH).nodes}
         context = nodes["saliency"] | USUAL
-        roi = nodes["closer"] | USUAL | {"class_confidence": {NAME: FAINTEST}}
-        self._context, self._roi = (
+        least = nodes["closer"]["class_confidence"] | confidence
+        roi = nodes["closer"] | USUAL | {"class_confidence": least}
+        self.context, self.roi = (
             Detector(build(SaliencySettings, values, "saliency")) for values in (context, roi)
         )
         self._encoder = Encoder(RoiEncoderSettings(threads=1))
@@ -73,34 +78,55 @@ class Looks:
         height, width = picture.shape[:2]
         size = width // SCALE, height // SCALE
         small = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-        boxes, scores = self._balls(self._context, small)
+        ((boxes, scores),) = found_by(self.context, small, [NAME])
         found = []
         for box, score in zip(boxes * SCALE, scores, strict=True):
-            x, y = (float(side) for side in centres(box))
-            left = int(np.clip(x - WINDOW_PX[0] / 2, 0, width - WINDOW_PX[0]))
-            top = int(np.clip(y - WINDOW_PX[1] / 2, 0, height - WINDOW_PX[1]))
-            window = (left, top, left + WINDOW_PX[0], top + WINDOW_PX[1])
-            pixels = np.ascontiguousarray(picture[top : window[3], left : window[2]])
-            near, sure = self._balls(self._roi, pixels)
-            away = np.linalg.norm(centres(near) + np.array([left - x, top - y]), axis=1)
+            frame = window_around(picture, box)
+            ((near, sure),) = self.finds(frame, [NAME])
+            away = np.linalg.norm(centres(near) - centres(box), axis=1)
             closer = sure[away <= REACH_PX].max(initial=0)
-            frame = Frame(header=header(), pixels=pixels, window=window, pixel_format="rgb8")
-            _, logits = self._encoder(frame, box[None])
-            genuine = float(verdicts(logits, self._encoder.names, [NAME])[0])
-            true = np.linalg.norm(centres(balls) - np.array([x, y]), axis=1).min()
+            true = np.linalg.norm(centres(balls) - centres(box), axis=1).min()
+            genuine = self.genuine(frame, box, NAME)
             found.append([float(score), float(closer), genuine, float(true <= REACH_PX)])
         return found
 
-    def _balls(self, detector: Detector, picture: NDArray[np.uint8]) -> tuple[Any, Any]:
-        found, placement, _ = detector.look(picture)
-        own = found.classes == detector.names.index(NAME)
-        offset = np.array([placement.left_px, placement.top_px] * 2, np.float32)
-        return (found.boxes[own] - offset) / placement.gain, found.scores[own]
+    def finds(self, frame: Frame, names: Sequence[str]) -> list[tuple[Boxes, Boxes]]:
+        """Return boxes (n, 4) in the sensor, and scores, of what the ROI shows of each class."""
+        origin = np.array(frame.window[:2] * 2, np.float32)
+        found = found_by(self.roi, np.asarray(frame.pixels, np.uint8), names)
+        return [(boxes + origin, scores) for boxes, scores in found]
+
+    def genuine(self, frame: Frame, box: Boxes, name: str) -> float:
+        """Return the encoder's probability that a box of the ROI (4,) is of a class."""
+        _, logits = self._encoder(frame, box[None])
+        return float(verdicts(logits, self._encoder.names, [name])[0])
+
+
+def window_around(picture: NDArray[np.uint8], box: Boxes) -> Frame:
+    """Return the ROI in whose middle a box is, or the nearest one within the picture."""
+    height, width = picture.shape[:2]
+    x, y = (float(side) for side in centres(box))
+    left = int(np.clip(x - WINDOW_PX[0] / 2, 0, width - WINDOW_PX[0]))
+    top = int(np.clip(y - WINDOW_PX[1] / 2, 0, height - WINDOW_PX[1]))
+    window = (left, top, left + WINDOW_PX[0], top + WINDOW_PX[1])
+    pixels = np.ascontiguousarray(picture[top : window[3], left : window[2]])
+    return Frame(header=header(), pixels=pixels, window=window, pixel_format="rgb8")
+
+
+def found_by(
+    detector: Detector, picture: NDArray[np.uint8], names: Sequence[str]
+) -> list[tuple[Boxes, Boxes]]:
+    """Return what a detector finds of each class, best first: boxes (n, 4) and scores (n,)."""
+    found, placement, _ = detector.look(picture)
+    offset = np.array([placement.left_px, placement.top_px] * 2, np.float32)
+    boxes = (found.boxes - offset) / np.float32(placement.gain)
+    rows = [found.classes == detector.names.index(name) for name in names]
+    return [(boxes[own], found.scores[own]) for own in rows]
 
 
 def collected(folder: Path, matches: Sequence[str]) -> Array:
     """Return the candidates in all stills of some matches that have a ball: (n, 4)."""
-    looks, found = Looks(), list[list[float]]()
+    looks, found = Looks({NAME: FAINTEST}), list[list[float]]()
     some = stills(folder, only=matches)
     for file in track(some.files, "look", console=Console(stderr=True)):
         item = some.example(file)

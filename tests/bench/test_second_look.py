@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from bench.second_look import Looks, area, fitted, odds
+from bench.second_look import FAINTEST, NAME, Looks, area, fitted, odds
 
 
 def made_up(seed: int) -> np.ndarray:
@@ -40,7 +40,7 @@ def test_candidates_are_looked_at_as_the_broadcast_graph_does() -> None:
     cv2.circle(picture, (700, 600), 8, (250, 250, 250), -1, cv2.LINE_AA)
     ball = np.array([[692, 592, 708, 608]], np.float32)
 
-    rows = Looks().rows(picture, ball)
+    rows = Looks({NAME: FAINTEST}).rows(picture, ball)
 
     context, closer, encoder, true = max(rows, key=lambda row: row[0])
     assert true == 1
