@@ -77,6 +77,10 @@ PLACES = {
         section="Tracking under a pixel budget", order=33,
         title="A ball rated above another candidate, by context, and by detector and encoder",
     ),
+    "referee_looks": Place(
+        section="Networks and scenes", order=13,
+        title="Referees told by the context, by their kits, and by a look at full resolution",
+    ),
     "rules_from_starts": Place(
         section="Tracking under a pixel budget", order=32,
         title="Each rule of the policies left out once, prompted by the true box from many starts",

@@ -1,0 +1,216 @@
+"""How a look at full resolution tells referees: `python -m bench.referee_looks NAME=FILE[@WxH] …`.
+
+In the stills of FOOTBALL the detector of the context finds people down to a score of .03. Full
+resolution around each is read by `closer` and encoder of `graphs/tracking.yaml`; where `closer`
+finds somebody there, its box counts. Logistic regressions over the development match weigh what
+each says, and choose the confidence at which referees have the precision of `--precision` there.
+For the matches left out, and for SEQUENCE, a SoccerNet folder, the table has precision and recall
+at that confidence, and recall at the least one that has this precision on these very pictures.
+"""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from bench.detector_scoring import Looker
+from bench.detector_versions import named
+from bench.kits import scaled
+from bench.machine import facts
+from bench.options import JSON, Bench
+from bench.people_missed import PEOPLE, assigned, frames_of, least_confidence, stills_of, told
+from bench.prototype import table
+from bench.second_look import SCALE, Looks, window_around
+from operators import kits
+from operators.saliency.example import NAMES
+from operators.training.stills import Labelled
+from operators.verify import LEAST_OF_PEOPLE, REFEREE, log_odds, seen_as
+from pipeline.whole_file import write_whole
+
+FAINTEST = 0.03  # score in the context of somebody who is looked at
+SURE = 0.3  # score of those among whom kits are compared
+# columns of what is known of somebody
+CONTEXT, KITS, ROI, ENCODER = (0, 1), (2,), (3, 4), (5,)
+WAYS = {
+    "the context": CONTEXT, "the context and kits": (*CONTEXT, *KITS), "the ROI": ROI,
+    "the ROI and encoder": (*ROI, *ENCODER), "the context and the ROI": (*CONTEXT, *ROI),
+    "the ROI and kits": (*ROI, *KITS), "the ROI, encoder and kits": (*ROI, *ENCODER, *KITS),
+}  # fmt: skip
+LOOKED = {ROI[0], ENCODER[0]}
+Array = NDArray[np.float32]
+Floats = NDArray[np.float64]
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class People:
+    """Those who were found in the context of a picture, the surest first, and what is known."""
+
+    boxes: Array  # (n, 4) in the context, pixels of the sensor
+    shown: Array  # (n, 4) in the ROI, or in the context where it shows nobody
+    known: Floats  # (n, 6) logarithms of odds; columns as above
+    referees: Array  # (m, 4) that are there
+
+    def by(self, columns: Sequence[int]) -> tuple[Array, Floats]:
+        """Return boxes (k, 4) and what is known (k, columns), each person once."""
+        boxes = self.shown if LOOKED & set(columns) else self.boxes
+        falling = np.linspace(1, 0.5, len(boxes), dtype=np.float32)
+        rows, _ = kits.people(boxes, falling, np.zeros(len(boxes), np.int64), 0, 1)
+        return boxes[rows], self.known[rows][:, list(columns)]
+
+
+class PeopleLooks:
+    """A detector of the context, and what `graphs/tracking.yaml` has for a ROI."""
+
+    def __init__(self, file: str, input_px: tuple[int, int]) -> None:
+        self._context = Looker(file, {}, 1 / SCALE, 1, confidence=FAINTEST, input_px=input_px)
+        self._looks = Looks()
+
+    def people(self, whole: Labelled) -> People:
+        """Return who is found in a picture of the sensor, and what a look at each tells."""
+        small = self._context.shrink(whole)
+        found = self._context.look(small.picture)
+        boxes = np.concatenate([found[name][0] for name in PEOPLE])
+        scores = np.concatenate([found[name][1] for name in PEOPLE])
+        labels = np.repeat(np.arange(len(PEOPLE)), [len(found[name][1]) for name in PEOPLE])
+        rows, said = kits.people(boxes, scores, labels, 0, 1)
+        worn = kits.kits(small.picture, boxes[rows])
+        height, width = whole.picture.shape[:2]
+        small_height, small_width = small.picture.shape[:2]
+        gain = np.array([width / small_width, height / small_height] * 2, np.float32)
+        at = boxes[rows] * gain
+        shown, looked = at.copy(), np.zeros((len(at), 3))
+        for k, box in enumerate(at):
+            shown[k], looked[k] = self.look(whole.picture, box)
+        return People(
+            boxes=at,
+            shown=shown,
+            known=np.column_stack([said, by_kits(said, worn, scores[rows] >= SURE), looked]),
+            referees=whole.boxes[whole.numbers == NAMES.index(REFEREE)],
+        )
+
+    def look(self, picture: NDArray[np.uint8], box: Array) -> tuple[Array, Floats]:
+        """Return somebody's box in the ROI, and what is seen there."""
+        frame = window_around(picture, box)
+        found = self._looks.finds(frame, PEOPLE)
+        boxes = np.concatenate([own for own, _ in found])
+        scores = np.concatenate([own for _, own in found])
+        referee = np.repeat([name == REFEREE for name in PEOPLE], [len(own) for _, own in found])
+        (at,), (seen,) = seen_as(box[None], boxes, scores, referee)
+        shares = [*seen, self._looks.genuine(frame, box, REFEREE)]
+        return boxes[at] if at >= 0 else box, log_odds(shares, LEAST_OF_PEOPLE)
+
+
+def by_kits(said: Floats, worn: Floats, sure: NDArray[np.bool_]) -> Floats:
+    """Return the odds that each is a referee as `operators.kits` has them (n,), their logarithm.
+
+    Kits are those of whom the detector is sure, and each of the others beside them; too few of
+    them tell nothing.
+    """
+    known = np.flatnonzero(sure)
+
+    def odds(rows: NDArray[np.intp]) -> Floats:
+        told = kits.evidence(said[rows], worn[rows])
+        return np.asarray(told @ kits.WEIGHTS[:-1] + kits.WEIGHTS[-1])
+
+    found = np.zeros(len(said))
+    if len(known) < kits.KitsSettings().least_people:
+        return found
+    found[known] = odds(known)
+    for k in np.flatnonzero(~sure):
+        found[k] = odds(np.append(known, k))[-1]
+    return found
+
+
+def marks(
+    people: Iterable[People], columns: Sequence[int], weights: Floats
+) -> tuple[Array, NDArray[np.bool_], int]:
+    """Return the odds of all found (n,), whether each is a referee (n,), and how many there are."""
+    odds, right, present = [], [], 0
+    for of in people:
+        boxes, known = of.by(columns)
+        own = (known @ weights[:-1] + weights[-1]).astype(np.float32)
+        order = np.argsort(-own, kind="stable")
+        odds.append(own[order])
+        right.append(assigned(boxes[order], own[order], of.referees)[0])
+        present += len(of.referees)
+    return np.concatenate(odds), np.concatenate(right), present
+
+
+def fitted(people: Sequence[People], columns: Sequence[int]) -> Floats:
+    """Return a weight for each of the columns and a constant: (columns + 1,)."""
+    known = [of.by(columns) for of in people]
+    right = [
+        assigned(boxes, np.ones(len(boxes), np.float32), of.referees)[0]
+        for of, (boxes, _) in zip(people, known, strict=True)
+    ]
+    return scaled(np.concatenate([own for _, own in known]), np.concatenate(right))
+
+
+def rows_of(version: str, data: Mapping[str, Sequence[People]], precision: float) -> Iterator[Row]:
+    """Yield the figures of referees by each way, fitted to the first of the data."""
+    development = next(iter(data.values()))
+    for way, columns in WAYS.items():
+        weights = fitted(development, columns)
+        odds, right, _ = marks(development, columns, weights)
+        chosen = least_confidence(odds, right, precision)
+        gains = ", ".join(f"{weight:.3g}" for weight in weights)
+        for name, people in data.items():
+            odds, right, present = marks(people, columns, weights)
+            own = least_confidence(odds, right, precision)
+            kept = odds >= (np.inf if chosen is None else chosen)
+            at_best = odds >= (np.inf if own is None else own)
+            yield {
+                "version": version, "data": name, "told by": way, "gains": gains,
+                "present": present, "precision": told(right[kept]) if kept.any() else None,
+                "recall": share(right, kept, present),
+                f"recall at {precision:g}": share(right, at_best, present),
+                "recall at any": share(right, np.ones(len(odds), np.bool_), present),
+            }  # fmt: skip
+
+
+def share(right: NDArray[np.bool_], kept: NDArray[np.bool_], present: int) -> float:
+    """Return the share of those present that are found."""
+    return round(float((right & kept).sum() / max(1, present)), 3)
+
+
+@click.command(cls=Bench)
+@click.argument("versions", nargs=-1, required=True)
+@click.option("--football", type=click.Path(path_type=Path, exists=True), required=True)
+@click.option("--sequence", type=click.Path(path_type=Path, exists=True), help="SoccerNet's.")
+@click.option("--every", default=5, show_default=True, type=click.IntRange(1), help="Frames.")
+@click.option("--precision", default=0.85, show_default=True, type=click.FloatRange(0, 1))
+@JSON
+def main(
+    versions: Sequence[str], football: Path, sequence: Path | None, every: int,
+    precision: float, path: Path | None,
+) -> None:  # fmt: skip
+    """Say how a look at full resolution tells referees."""
+    rows: list[Row] = []
+    for version, file, input_px in map(named, versions):
+        looks = PeopleLooks(file, input_px)
+        data = {
+            "development": [looks.people(still) for still in stills_of(football, "development")],
+            "left out": [looks.people(still) for still in stills_of(football, "test")],
+        }
+        if sequence:
+            frames = frames_of(sequence, every)
+            data[sequence.name] = [looks.people(frame) for frame, _ in frames]
+        rows += rows_of(version, data, precision)
+    Console().print(table("referees", rows))
+    if path:
+        report = facts() | {
+            "bench": "referee_looks", "scale": 1 / SCALE, "every": every,
+            "precision_chosen": precision, "rows": rows,
+        }  # fmt: skip
+        write_whole(path, json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""Referees are told by what the context, kits and a look at full resolution say of them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bench.referee_looks import PeopleLooks, People, by_kits, fitted, main, marks, rows_of
+from operators.saliency.example import NAMES
+from operators.training.stills import Labelled
+from operators.verify import LEAST_OF_PEOPLE
+
+ROI, REFEREE_IN_ROI = (3, 4), 3
+
+
+def picture(rng: np.random.Generator, told: float = 3.0) -> People:
+    """Return ten people found in a picture, of whom only the ROI tells the referee.
+
+    The context has their boxes six pixels too far right.
+    """
+    boxes = np.array([[40 * k, 0, 40 * k + 10, 30] for k in range(10)], np.float32)
+    known = rng.normal(size=(10, 6))
+    known[4, REFEREE_IN_ROI] += 2 * told
+    known[:, REFEREE_IN_ROI] -= told
+    off = boxes + np.array([6, 0, 6, 0], np.float32)
+    return People(boxes=off, shown=boxes, known=known, referees=boxes[4:5])
+
+
+def pictures(seed: int, told: float = 3.0) -> list[People]:
+    rng = np.random.default_rng(seed)
+    return [picture(rng, told) for _ in range(40)]
+
+
+def test_what_tells_a_referee_has_the_gain() -> None:
+    weights = fitted(pictures(1), ROI)
+
+    assert weights[0] > 3 * abs(weights[1])
+    odds, right, present = marks(pictures(2), ROI, weights)
+    assert present == 40
+    assert (right == (odds > 0)).mean() > 0.97
+
+
+def test_the_box_of_the_roi_counts_where_it_was_looked_at() -> None:
+    people = picture(np.random.default_rng(3))
+
+    assert people.by((0, 1))[0][4, 0] == people.referees[0, 0] + 6
+    assert people.by(ROI)[0][4, 0] == people.referees[0, 0]
+
+
+def test_two_who_are_one_in_the_roi_count_once() -> None:
+    boxes = np.array([[0, 0, 10, 30], [8, 0, 18, 30]], np.float32)
+    people = People(boxes=boxes, shown=boxes[[0, 0]], known=np.zeros((2, 6)), referees=boxes[:1])
+
+    assert len(people.by((0, 1))[0]) == 2
+    assert len(people.by(ROI)[0]) == 1
+
+
+def test_the_confidence_is_that_of_the_development_pictures() -> None:
+    data = {"development": pictures(1), "left out": pictures(2, told=1.0)}
+
+    rows = {(r["data"], r["told by"]): r for r in rows_of("new", data, 0.85)}
+
+    assert rows["development", "the ROI"]["precision"] >= 0.85
+    other = rows["left out", "the ROI"]
+    assert other["precision"] < 0.85
+    assert other["recall at 0.85"] < other["recall"] <= other["recall at any"] == 1
+    assert rows["left out", "the context"]["recall at any"] == 0  # their boxes are off
+
+
+def test_a_way_that_never_has_the_precision_finds_nobody_at_it() -> None:
+    (row,) = (
+        r for r in rows_of("new", {"all": pictures(1)}, 0.85) if r["told by"] == "the context"
+    )
+
+    assert (row["precision"], row["recall"], row["recall at 0.85"]) == (None, 0, 0)
+
+
+def test_somebody_faint_is_compared_with_those_who_are_sure() -> None:
+    said = np.zeros((9, 2))
+    team, referee = [[150, 120, 120], [150, 128, 128]], [[220, 110, 190], [20, 128, 128]]
+    worn = np.array([*[team] * 7, referee, team], np.float64)
+    sure = np.array([True] * 7 + [False, False])
+
+    odds = by_kits(said, worn, sure)
+
+    assert odds[7] > odds[8] + 1
+    assert by_kits(said, worn, np.array([True] * 3 + [False] * 6)).tolist() == [0] * 9
+
+
+def test_a_look_at_nobody_is_told_as_the_least_there_is() -> None:
+    lawn = np.full((1080, 1920, 3), (60, 130, 50), np.uint8)
+    whole = Labelled(
+        picture=lawn, boxes=np.array([[900, 500, 930, 580]], np.float32),
+        numbers=np.array([NAMES.index("referee")]),
+    )  # fmt: skip
+    looks = PeopleLooks("", (0, 0))
+
+    assert len(looks.people(whole).referees) == 1
+    box = np.array([900, 500, 930, 580], np.float32)
+    shown, known = looks.look(lawn, box)
+    assert shown.tolist() == box.tolist()
+    assert known[:2] == pytest.approx([np.log(LEAST_OF_PEOPLE / (1 - LEAST_OF_PEOPLE))] * 2)
+
+
+def test_a_folder_without_a_description_is_told_in_a_sentence(tmp_path: Path) -> None:
+    result = CliRunner().invoke(main, ["new=eight_bits", "--football", str(tmp_path)])
+
+    assert result.exit_code
+    assert "data.yaml" in result.output
