@@ -1,5 +1,7 @@
 """Pursuit: gaining, keeping, losing and searching for one object."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,20 @@ def test_a_ball_lost_while_it_is_misread_beside_a_person_is_looked_for_at_that_p
 
     assert path.choice[0] == -1
     np.testing.assert_allclose(path.boxes[0], [322, 290, 362, 330])
+
+
+def test_a_referee_lost_while_misread_as_a_ball_is_waited_for_and_not_carried_by_a_player():
+    names = ("ball", "player", "referee")
+    player = (2, 1, 320, 300, 0)
+    seen = [tracks(k, (1, 2, 300, 300, 0), player) for k in range(3)]
+    misread = [tracks(k, (1, 0, 300, 300, 0), player) for k in range(3, 5)]
+    gone = tracks(5, (2, 1, 900, 300, 0))
+    frames = [replace(frame, names=names) for frame in (*seen, *misread, gone)]
+
+    path = pursue(*frames, target="referee")[-1]
+
+    assert path.choice[0] == -1
+    np.testing.assert_allclose(path.boxes[0], [292, 292, 308, 308])  # as it was last seen
 
 
 def test_one_object_is_found_again_by_its_own_class_whatever_class_is_set():
