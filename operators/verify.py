@@ -92,14 +92,14 @@ class Verify(Operator[VerifySettings, RoiFeatures]):
         said = self._said(closer, tracks)
         judged = {int(tracks.ids[row]): row for row in said}
         genuine, kept = features.genuine.copy(), np.ones(len(features.ids), np.bool_)
+        by_encoder = log_odds(np.where(genuine == UNKNOWN, EVEN, genuine))
         for index, object_id in enumerate(features.ids.tolist()):
             if object_id not in judged:
                 continue
             row = judged[object_id]
             kept[index] = shown[row]
             odds, of_encoder = said[row]
-            encoder = EVEN if genuine[index] == UNKNOWN else genuine[index]
-            genuine[index] = expit(odds + of_encoder * log_odds(encoder))
+            genuine[index] = expit(odds + of_encoder * by_encoder[index])
         return replace(
             features,
             ids=features.ids[kept],
@@ -132,7 +132,7 @@ class Verify(Operator[VerifySettings, RoiFeatures]):
 
 def log_odds(shares: Any, least: float = LEAST) -> NDArray[np.float64]:
     """Return the logarithm of the odds; shares are clipped to `least` .. 1 - `least`."""
-    return np.asarray(logit(np.clip(shares, least, 1 - least)))
+    return np.asarray(logit(np.clip(np.asarray(shares, np.float64), least, 1 - least)))
 
 
 def named(
