@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bench.referee_looks import PeopleLooks, People, by_kits, fitted, main, marks, rows_of
+from bench.referee_looks import People, PeopleLooks, by_kits, fitted, main, marks, rows_of
 from operators.saliency.example import NAMES
 from operators.training.stills import Labelled
 from operators.verify import LEAST_OF_PEOPLE
