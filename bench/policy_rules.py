@@ -11,10 +11,11 @@ import numpy as np
 
 from operators.policy.candidates import odds
 from operators.policy.flight import Flight
+from operators.policy.pursuit import PursuitState
 from operators.policy.verdicts import EVEN
 from pipeline.errors import RunError
 
-Part = tuple[str, Any]  # module:name, and what stands there instead
+Part = tuple[str, Any]  # module:name or module:class.name, and what stands there instead
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +45,11 @@ def none_of(*arguments: Any) -> Any:
     """None of the candidates, whose ids are the last argument but one or the last: (n,)."""
     ids = next(a for a in reversed(arguments) if isinstance(a, np.ndarray))
     return np.zeros(len(ids), np.bool_)
+
+
+def class_locked(state: PursuitState) -> str:
+    """Return the class of what was locked last, the class asked for before that."""
+    return state.target or state.spec.label
 
 
 def unseen(tracks: Any, shown: Any) -> Any:
@@ -95,6 +101,9 @@ PURSUIT = {
     "an unlikely candidate is none": Rule(
         changes=("policy.least_probability=0",)
     ),
+    "the class asked for is kept": Rule(
+        parts=(("pursuit:PursuitState.wanted", property(class_locked)),)
+    ),
     "what rests is hardly it": Rule(
         changes=("policy.in_play=false",)
     ),
@@ -132,8 +141,11 @@ def without(rule: Rule) -> Iterator[None]:
     with ExitStack() as stack:
         for place, other in rule.parts:
             module_name, _, name = place.partition(":")
-            module = import_module(f"operators.policy.{module_name}")
-            if not hasattr(module, name):
+            owner: Any = import_module(f"operators.policy.{module_name}")
+            *classes, attribute = name.split(".")
+            for part in classes:
+                owner = getattr(owner, part, None)
+            if not hasattr(owner, attribute):
                 raise RunError(f"{place}: expected a rule of operators.policy, got none")
-            stack.enter_context(patch.object(module, name, other))
+            stack.enter_context(patch.object(owner, attribute, other))
         yield
