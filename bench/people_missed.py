@@ -119,24 +119,24 @@ def least_confidence(scores: Array, right: NDArray[np.bool_], precision: float) 
     return float(scores[order][fit[-1]]) if len(fit) else None
 
 
-def frames_of(folder: Path, every: int) -> Iterator[tuple[Labelled, int]]:
-    """Yield the frames of a SoccerNet folder and their indices."""
+def frames_of(folder: Path, every: int) -> Iterator[tuple[SoccerNetSequence, int, Labelled]]:
+    """Yield the source of a SoccerNet folder, and indices and pictures of its frames."""
     source = SoccerNetSequence(path=str(folder))
-    truths = truths_of(source)
-    if not truths:
-        raise DriverError(f"{folder}: expected a sequence with its truth, got none")
-    for k in track(range(0, len(truths), every), folder.name, console=Console(stderr=True)):
-        yield labelled(source, k, truths[k]), k
-    source.close()
+    try:
+        truths = truths_of(source)
+        if not truths:
+            raise DriverError(f"{folder}: expected a sequence with its truth, got none")
+        for k in track(range(0, len(truths), every), folder.name, console=Console(stderr=True)):
+            yield source, k, labelled(source, k, truths[k])
+    finally:
+        source.close()
 
 
 def of_sequence(folder: Path, looker: Looker, every: int) -> Iterator[tuple[Labelled, Found]]:
     """Yield the frames of a SoccerNet folder, shrunk, and what was found in them."""
-    source = SoccerNetSequence(path=str(folder))
-    for whole, k in frames_of(folder, every):
+    for source, k, whole in frames_of(folder, every):
         small = looker.shrink(whole)
         yield small, looker.look(small.picture, changed(looker, source, k, small))
-    source.close()
 
 
 def stills_of(folder: Path, split: str) -> Iterator[Labelled]:

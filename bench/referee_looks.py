@@ -42,7 +42,6 @@ WAYS = {
     "the ROI and encoder": (*ROI, *ENCODER), "the context and the ROI": (*CONTEXT, *ROI),
     "the ROI and kits": (*ROI, *KITS), "the ROI, encoder and kits": (*ROI, *ENCODER, *KITS),
 }  # fmt: skip
-LOOKED = {ROI[0], ENCODER[0]}
 Array = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Row = dict[str, Any]
@@ -59,7 +58,7 @@ class People:
 
     def by(self, columns: Sequence[int]) -> tuple[Array, Floats]:
         """Return boxes (k, 4) and what is known (k, columns), each person once."""
-        boxes = self.shown if LOOKED & set(columns) else self.boxes
+        boxes = self.shown if ROI[0] in columns else self.boxes
         falling = np.linspace(1, 0.5, len(boxes), dtype=np.float32)
         rows, _ = kits.people(boxes, falling, np.zeros(len(boxes), np.int64), 0, 1)
         return boxes[rows], self.known[rows][:, list(columns)]
@@ -110,8 +109,8 @@ class PeopleLooks:
 def by_kits(said: Floats, worn: Floats, sure: NDArray[np.bool_]) -> Floats:
     """Return the odds that each is a referee as `operators.kits` has them (n,), their logarithm.
 
-    Kits are those of whom the detector is sure, and each of the others beside them; too few of
-    them tell nothing.
+    They count what the detector says as well. Kits are those of whom it is sure, and each of the
+    others beside them; beside too few its word alone counts.
     """
     known = np.flatnonzero(sure)
 
@@ -119,7 +118,7 @@ def by_kits(said: Floats, worn: Floats, sure: NDArray[np.bool_]) -> Floats:
         told = kits.evidence(said[rows], worn[rows])
         return np.asarray(told @ kits.WEIGHTS[:-1] + kits.WEIGHTS[-1])
 
-    found = np.zeros(len(said))
+    found = said[:, 0] - said[:, 1]
     if len(known) < kits.KitsSettings().least_people:
         return found
     found[known] = odds(known)
@@ -201,7 +200,7 @@ def main(
         }
         if sequence:
             frames = frames_of(sequence, every)
-            data[sequence.name] = [looks.people(frame) for frame, _ in frames]
+            data[sequence.name] = [looks.people(frame) for *_, frame in frames]
         rows += rows_of(version, data, precision)
     Console().print(table("referees", rows))
     if path:

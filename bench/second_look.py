@@ -106,9 +106,9 @@ def window_around(picture: NDArray[np.uint8], box: Boxes) -> Frame:
     """Return the ROI in whose middle a box is, or the nearest one within the picture."""
     height, width = picture.shape[:2]
     x, y = (float(side) for side in centres(box))
-    left = int(np.clip(x - WINDOW_PX[0] / 2, 0, width - WINDOW_PX[0]))
-    top = int(np.clip(y - WINDOW_PX[1] / 2, 0, height - WINDOW_PX[1]))
-    window = (left, top, left + WINDOW_PX[0], top + WINDOW_PX[1])
+    left = int(np.clip(x - WINDOW_PX[0] / 2, 0, max(0, width - WINDOW_PX[0])))
+    top = int(np.clip(y - WINDOW_PX[1] / 2, 0, max(0, height - WINDOW_PX[1])))
+    window = (left, top, min(width, left + WINDOW_PX[0]), min(height, top + WINDOW_PX[1]))
     pixels = np.ascontiguousarray(picture[top : window[3], left : window[2]])
     return Frame(header=header(), pixels=pixels, window=window, pixel_format="rgb8")
 

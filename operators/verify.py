@@ -25,8 +25,10 @@ from pipeline.errors import FoveaError
 # the ROI alone in .965, by the encoder in .948 (python -m bench.second_look). Fitted anew to `roi`
 # the gains are no better there and were worse in the loop: operators/saliency/CARD.md.
 OF_SCORE, OF_ENCODER = 1.46, 0.58
-# The same of a referee, whom `operators.kits` may have told: of the scores as referee and as
-# another person, of the encoder, and a constant (python -m bench.referee_looks).
+# The same of somebody whom the context's detector or `operators.kits` named a referee: of the
+# scores as referee and as another person, of the encoder, and a constant (python -m
+# bench.referee_looks). The regression knows the odds by kits, too; here they are taken as even.
+# That the ROI shows a person counts for him, since the detector may not know his kit.
 REFEREE, OF_PERSON = "referee", np.array([1.32, 0.82, 0.4, 3.97])
 LEAST = 0.005  # shares are clipped to LEAST .. 1 - LEAST
 LEAST_OF_PEOPLE = 0.02  # the same of people, whom the detector hardly misses
@@ -42,7 +44,8 @@ Array = NDArray[np.float32]
 class VerifySettings:
     """What a graph may set. Distances are pixels of the sensor."""
 
-    target: str = "ball"  # the class that is looked at again
+    # the class that is looked at again; referees are judged as well, without the sizes below
+    target: str = "ball"
     reach_px: float = 16.0  # between the centres of a candidate and of what the ROI shows of it
     edge_px: float = 30.0  # candidates nearer to the edge of the ROI are not judged
     # sides of the target as shares of the height of people: what is smaller or larger is none
@@ -92,14 +95,14 @@ class Verify(Operator[VerifySettings, RoiFeatures]):
         said = self._said(closer, tracks)
         judged = {int(tracks.ids[row]): row for row in said}
         genuine, kept = features.genuine.copy(), np.ones(len(features.ids), np.bool_)
-        by_encoder = log_odds(np.where(genuine == UNKNOWN, EVEN, genuine))
+        encoder = np.where(genuine == UNKNOWN, EVEN, genuine)
         for index, object_id in enumerate(features.ids.tolist()):
             if object_id not in judged:
                 continue
             row = judged[object_id]
             kept[index] = shown[row]
-            odds, of_encoder = said[row]
-            genuine[index] = expit(odds + of_encoder * by_encoder[index])
+            odds, of_encoder, least = said[row]
+            genuine[index] = expit(odds + of_encoder * log_odds(encoder[index], least))
         return replace(
             features,
             ids=features.ids[kept],
@@ -107,27 +110,27 @@ class Verify(Operator[VerifySettings, RoiFeatures]):
             genuine=genuine[kept],
         )
 
-    def _said(self, closer: Detections, tracks: Tracks) -> dict[int, tuple[float, float]]:
-        """Return what the detector says of each candidate, and what the encoder's word counts.
+    def _said(self, closer: Detections, tracks: Tracks) -> dict[int, tuple[float, float, float]]:
+        """Return what the detector says of each candidate, by its row of `tracks`.
 
-        The first is the logarithm of the odds; keys are rows of `tracks`.
+        That is the logarithm of the odds, how much the encoder's word counts beside it, and to what
+        that is clipped.
         """
         settings, boxes = self.settings, tracks.boxes[:, -1]
         found = finds(closer, height_of_people(boxes, tracks.labels, tracks.names), settings)
         own = np.flatnonzero(named(tracks.labels, tracks.names, (settings.target,)))
         best = best_scores(boxes[own], closer, found, settings.reach_px)
-        said = dict(zip(own.tolist(), OF_SCORE * log_odds(best), strict=True))
-        rated = {row: (odds, OF_ENCODER) for row, odds in said.items()}
+        odds = OF_SCORE * log_odds(best)
+        said = {int(row): (odds[k], OF_ENCODER, LEAST) for k, row in enumerate(own)}
         if REFEREE in closer.names:
             own = np.flatnonzero(named(tracks.labels, tracks.names, (REFEREE,)))
             people = np.flatnonzero(named(closer.labels, closer.names, PEOPLE))
             referee = named(closer.labels[people], closer.names, (REFEREE,))
             _, scores = seen_as(boxes[own], closer.boxes[people], closer.scores[people], referee)
-            known = log_odds(scores, LEAST_OF_PEOPLE) @ OF_PERSON[:2] + OF_PERSON[3]
-            rated |= {
-                row: (odds, OF_PERSON[2]) for row, odds in zip(own.tolist(), known, strict=True)
-            }
-        return rated
+            odds = log_odds(scores, LEAST_OF_PEOPLE) @ OF_PERSON[:2] + OF_PERSON[3]
+            for k, row in enumerate(own):
+                said[int(row)] = odds[k], OF_PERSON[2], LEAST_OF_PEOPLE
+        return said
 
 
 def log_odds(shares: Any, least: float = LEAST) -> NDArray[np.float64]:
@@ -153,7 +156,7 @@ def seen_as(
     at, seen = np.full(len(boxes), -1), np.zeros((len(boxes), 2), np.float32)
     overlap, same = iou(boxes, people), iou(people, people) > SAME_PERSON
     for row in np.flatnonzero((overlap >= SAME_PLACE).any(1)):
-        at[row] = np.where(overlap[row] >= SAME_PLACE, overlap[row] * scores, -1).argmax()
+        at[row] = overlap[row].argmax()
         own = same[at[row]]
         seen[row] = [scores[own & which].max(initial=0) for which in (referee, ~referee)]
     return at, seen

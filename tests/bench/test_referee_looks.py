@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from bench.ball_candidates import labelled
+from bench.people_missed import PEOPLE
 from bench.referee_looks import People, PeopleLooks, by_kits, fitted, main, marks, rows_of
+from drivers.scenes.soccer import SoccerScene
 from operators.saliency.example import NAMES
-from operators.training.stills import Labelled
 from operators.verify import LEAST_OF_PEOPLE
+from pipeline.boxes import iou
 
 ROI, REFEREE_IN_ROI = (3, 4), 3
 
@@ -85,20 +88,36 @@ def test_somebody_faint_is_compared_with_those_who_are_sure() -> None:
     odds = by_kits(said, worn, sure)
 
     assert odds[7] > odds[8] + 1
-    assert by_kits(said, worn, np.array([True] * 3 + [False] * 6)).tolist() == [0] * 9
+
+
+def test_beside_too_few_the_detectors_word_counts() -> None:
+    said, worn = np.array([[1.0, -2], [-1, 2]]), np.zeros((2, 2, 3))
+
+    assert by_kits(said, worn, np.array([True, False])).tolist() == [3, -3]
+
+
+def test_people_of_a_drawn_picture_are_found_and_looked_at() -> None:
+    source = SoccerScene(size_px=(1920, 1080), rate_hz=30, seed=52_000)
+    whole = labelled(source, 0, source.truth(0))
+    everybody = whole.boxes[np.isin(whole.numbers, [NAMES.index(name) for name in PEOPLE])]
+
+    people = PeopleLooks("", (0, 0)).people(whole)
+
+    true = iou(people.boxes, everybody).max(1) > 0.5
+    assert true.sum() >= len(everybody) / 2
+    assert people.known.shape == (len(people.boxes), 6)
+    assert np.median(people.known[true, 3:5].max(1)) > 0
+    assert (people.known[:, 3:5].max(1)[~true] < 0).any()
+    by_context, by_roi = (iou(b[true], everybody).max(1) for b in (people.boxes, people.shown))
+    assert np.median(by_roi) > np.median(by_context)
 
 
 def test_a_look_at_nobody_is_told_as_the_least_there_is() -> None:
     lawn = np.full((1080, 1920, 3), (60, 130, 50), np.uint8)
-    whole = Labelled(
-        picture=lawn, boxes=np.array([[900, 500, 930, 580]], np.float32),
-        numbers=np.array([NAMES.index("referee")]),
-    )  # fmt: skip
-    looks = PeopleLooks("", (0, 0))
-
-    assert len(looks.people(whole).referees) == 1
     box = np.array([900, 500, 930, 580], np.float32)
-    shown, known = looks.look(lawn, box)
+
+    shown, known = PeopleLooks("", (0, 0)).look(lawn, box)
+
     assert shown.tolist() == box.tolist()
     assert known[:2] == pytest.approx([np.log(LEAST_OF_PEOPLE / (1 - LEAST_OF_PEOPLE))] * 2)
 

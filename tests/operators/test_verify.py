@@ -144,13 +144,18 @@ def test_the_encoder_counts_for_a_referee() -> None:
     assert referee_with(("referee", 0.2), encoder=0.9) > referee_with(("referee", 0.2)) + 0.05
 
 
-def test_a_referee_is_judged_by_who_is_at_that_place_and_not_by_a_neighbour() -> None:
-    seen = detections(("player", 0.9, 700, 400, 40), ("referee", 0.9, 725, 400, 40), names=PEOPLE)
-    world = replace(tracks(0, (1, 1, 700, 400, 0), (2, 1, 725, 400, 0)), names=("ball", "referee"))
+def test_a_referee_is_judged_by_who_is_at_that_place_and_not_by_a_surer_neighbour() -> None:
+    seen = detections(("player", 0.9, 725, 400, 40), ("referee", 0.3, 700, 400, 40), names=PEOPLE)
+    world = replace(tracks(0, (1, 1, 700, 400, 0)), names=("ball", "referee"))
 
-    found = verified(world, seen, {1: 0.5, 2: 0.5})
+    alone = detections(("referee", 0.3, 700, 400, 40), names=PEOPLE)
+    assert verified(world, seen, {1: 0.5}) == verified(world, alone, {1: 0.5})
 
-    assert found[2] > 0.9 > 0.7 > found[1]
+
+def test_an_encoder_that_is_very_sure_counts_no_more_than_it_was_fitted_for() -> None:
+    assert referee_with(("referee", 0.2), encoder=0.001) == referee_with(
+        ("referee", 0.2), encoder=0.01
+    )
 
 
 def test_a_detector_that_knows_no_referees_leaves_them_to_the_encoder() -> None:
