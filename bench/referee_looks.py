@@ -11,6 +11,7 @@ at that confidence, and recall at the least one that has this precision on these
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from scipy.special import logit
 
 from bench.detector_scoring import Looker
 from bench.detector_versions import named
@@ -30,17 +32,26 @@ from bench.second_look import SCALE, Looks, window_around
 from operators import kits
 from operators.saliency.example import NAMES
 from operators.training.stills import Labelled
-from operators.verify import LEAST_OF_PEOPLE, REFEREE, log_odds, seen_as
+from pipeline.boxes import iou
 from pipeline.whole_file import write_whole
 
 FAINTEST = 0.03  # score in the context of somebody who is looked at
 SURE = 0.3  # score of those among whom kits are compared
+LEAST = (
+    0.02  # score from which on `closer` reports people; shares are clipped to LEAST .. 1 - LEAST
+)
+SAME_PLACE = 0.15  # IoU of somebody's boxes in the context and in the ROI
 # columns of what is known of somebody
+COLUMNS = "referee", "player", "kits", "referee in ROI", "player in ROI", "encoder"
 CONTEXT, KITS, ROI, ENCODER = (0, 1), (2,), (3, 4), (5,)
-WAYS = {
-    "the context": CONTEXT, "the context and kits": (*CONTEXT, *KITS), "the ROI": ROI,
-    "the ROI and encoder": (*ROI, *ENCODER), "the context and the ROI": (*CONTEXT, *ROI),
-    "the ROI and kits": (*ROI, *KITS), "the ROI, encoder and kits": (*ROI, *ENCODER, *KITS),
+WAYS = {  # columns, and whether the ROI's box counts
+    "the context": (CONTEXT, False), "the context and kits": ((*CONTEXT, *KITS), False),
+    "the ROI": (ROI, True), "the ROI, boxes of the context": (ROI, False),
+    "the ROI and encoder": ((*ROI, *ENCODER), True),
+    "the context and the ROI": ((*CONTEXT, *ROI), True),
+    "the ROI and kits": ((*ROI, *KITS), True),
+    "the ROI and kits, boxes of the context": ((*ROI, *KITS), False),
+    "the ROI, encoder and kits": ((*ROI, *ENCODER, *KITS), True),
 }  # fmt: skip
 Array = NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -56,9 +67,12 @@ class People:
     known: Floats  # (n, 6) logarithms of odds; columns as above
     referees: Array  # (m, 4) that are there
 
-    def by(self, columns: Sequence[int]) -> tuple[Array, Floats]:
-        """Return boxes (k, 4) and what is known (k, columns), each person once."""
-        boxes = self.shown if ROI[0] in columns else self.boxes
+    def by(self, columns: Sequence[int], *, in_roi: bool) -> tuple[Array, Floats]:
+        """Return boxes (k, 4), of the ROI or the context, and columns of what is known (k, ...).
+
+        Two boxes of one person count once.
+        """
+        boxes = self.shown if in_roi else self.boxes
         falling = np.linspace(1, 0.5, len(boxes), dtype=np.float32)
         rows, _ = kits.people(boxes, falling, np.zeros(len(boxes), np.int64), 0, 1)
         return boxes[rows], self.known[rows][:, list(columns)]
@@ -69,7 +83,7 @@ class PeopleLooks:
 
     def __init__(self, file: str, input_px: tuple[int, int]) -> None:
         self._context = Looker(file, {}, 1 / SCALE, 1, confidence=FAINTEST, input_px=input_px)
-        self._looks = Looks()
+        self._looks = Looks(dict.fromkeys(PEOPLE, LEAST))
 
     def people(self, whole: Labelled) -> People:
         """Return who is found in a picture of the sensor, and what a look at each tells."""
@@ -91,26 +105,29 @@ class PeopleLooks:
             boxes=at,
             shown=shown,
             known=np.column_stack([said, by_kits(said, worn, scores[rows] >= SURE), looked]),
-            referees=whole.boxes[whole.numbers == NAMES.index(REFEREE)],
+            referees=whole.boxes[whole.numbers == NAMES.index(kits.REFEREE)],
         )
 
     def look(self, picture: NDArray[np.uint8], box: Array) -> tuple[Array, Floats]:
-        """Return somebody's box in the ROI, and what is seen there."""
+        """Return somebody's box in the ROI (4,), and the columns of ROI and encoder (3,)."""
         frame = window_around(picture, box)
-        found = self._looks.finds(frame, PEOPLE)
-        boxes = np.concatenate([own for own, _ in found])
-        scores = np.concatenate([own for _, own in found])
-        referee = np.repeat([name == REFEREE for name in PEOPLE], [len(own) for _, own in found])
-        (at,), (seen,) = seen_as(box[None], boxes, scores, referee)
-        shares = [*seen, self._looks.genuine(frame, box, REFEREE)]
-        return boxes[at] if at >= 0 else box, log_odds(shares, LEAST_OF_PEOPLE)
+        shares = np.array([0, 0, self._looks.genuine(frame, box, kits.REFEREE)])
+        found = [
+            (float(iou(one[None], box[None])[0, 0]), float(score), name, one)
+            for name, (boxes, scores) in zip(PEOPLE, self._looks.finds(frame, PEOPLE), strict=True)
+            for one, score in zip(boxes, scores, strict=True)
+        ]
+        overlap, score, name, one = max(found, key=itemgetter(0), default=(0.0, 0.0, "", box))
+        if overlap >= SAME_PLACE:
+            box, shares[0 if name == kits.REFEREE else 1] = one, score
+        return box, np.asarray(logit(np.clip(shares, LEAST, 1 - LEAST)))
 
 
 def by_kits(said: Floats, worn: Floats, sure: NDArray[np.bool_]) -> Floats:
     """Return the odds that each is a referee as `operators.kits` has them (n,), their logarithm.
 
     They count what the detector says as well. Kits are those of whom it is sure, and each of the
-    others beside them; beside too few its word alone counts.
+    others beside them; beside too few they count nothing.
     """
     known = np.flatnonzero(sure)
 
@@ -118,7 +135,7 @@ def by_kits(said: Floats, worn: Floats, sure: NDArray[np.bool_]) -> Floats:
         told = kits.evidence(said[rows], worn[rows])
         return np.asarray(told @ kits.WEIGHTS[:-1] + kits.WEIGHTS[-1])
 
-    found = said[:, 0] - said[:, 1]
+    found: Floats = said @ kits.WEIGHTS[:2] + kits.WEIGHTS[-1]
     if len(known) < kits.KitsSettings().least_people:
         return found
     found[known] = odds(known)
@@ -128,12 +145,12 @@ def by_kits(said: Floats, worn: Floats, sure: NDArray[np.bool_]) -> Floats:
 
 
 def marks(
-    people: Iterable[People], columns: Sequence[int], weights: Floats
+    people: Iterable[People], columns: Sequence[int], weights: Floats, *, in_roi: bool
 ) -> tuple[Array, NDArray[np.bool_], int]:
     """Return the odds of all found (n,), whether each is a referee (n,), and how many there are."""
     odds, right, present = [], [], 0
     for of in people:
-        boxes, known = of.by(columns)
+        boxes, known = of.by(columns, in_roi=in_roi)
         own = (known @ weights[:-1] + weights[-1]).astype(np.float32)
         order = np.argsort(-own, kind="stable")
         odds.append(own[order])
@@ -142,9 +159,9 @@ def marks(
     return np.concatenate(odds), np.concatenate(right), present
 
 
-def fitted(people: Sequence[People], columns: Sequence[int]) -> Floats:
+def fitted(people: Sequence[People], columns: Sequence[int], *, in_roi: bool) -> Floats:
     """Return a weight for each of the columns and a constant: (columns + 1,)."""
-    known = [of.by(columns) for of in people]
+    known = [of.by(columns, in_roi=in_roi) for of in people]
     right = [
         assigned(boxes, np.ones(len(boxes), np.float32), of.referees)[0]
         for of, (boxes, _) in zip(people, known, strict=True)
@@ -155,13 +172,14 @@ def fitted(people: Sequence[People], columns: Sequence[int]) -> Floats:
 def rows_of(version: str, data: Mapping[str, Sequence[People]], precision: float) -> Iterator[Row]:
     """Yield the figures of referees by each way, fitted to the first of the data."""
     development = next(iter(data.values()))
-    for way, columns in WAYS.items():
-        weights = fitted(development, columns)
-        odds, right, _ = marks(development, columns, weights)
+    for way, (columns, in_roi) in WAYS.items():
+        weights = fitted(development, columns, in_roi=in_roi)
+        odds, right, _ = marks(development, columns, weights, in_roi=in_roi)
         chosen = least_confidence(odds, right, precision)
-        gains = ", ".join(f"{weight:.3g}" for weight in weights)
+        told_by = [*(COLUMNS[column] for column in columns), "constant"]
+        gains = ", ".join(f"{n} {w:.3g}" for n, w in zip(told_by, weights, strict=True))
         for name, people in data.items():
-            odds, right, present = marks(people, columns, weights)
+            odds, right, present = marks(people, columns, weights, in_roi=in_roi)
             own = least_confidence(odds, right, precision)
             kept = odds >= (np.inf if chosen is None else chosen)
             at_best = odds >= (np.inf if own is None else own)

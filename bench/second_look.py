@@ -11,7 +11,6 @@ above another candidate, by each score alone and together, and by the gains in u
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 
 import click
 import cv2
@@ -63,10 +62,10 @@ class Looks:
     `confidence` is that of classes in the ROI, where it is not the graph's.
     """
 
-    def __init__(self, confidence: Mapping[str, float] = MappingProxyType({})) -> None:
+    def __init__(self, confidence: Mapping[str, float]) -> None:
         nodes = {node.name: dict(node.settings) for node in load(GRAPH).nodes}
         context = nodes["saliency"] | USUAL
-        least = nodes["closer"]["class_confidence"] | confidence
+        least = nodes["closer"].get("class_confidence", {}) | confidence
         roi = nodes["closer"] | USUAL | {"class_confidence": least}
         self.context, self.roi = (
             Detector(build(SaliencySettings, values, "saliency")) for values in (context, roi)

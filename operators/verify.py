@@ -1,8 +1,7 @@
 """Verify candidates by a detector in the ROI: RoiFeatures, Detections, Tracks -> RoiFeatures.
 
 Encoder and detector are asked for the same pixels: what both take for the target is it sooner than
-what one of them does. `genuine` of the target's class, and of referees, is their common probability
-at even odds.
+what one of them does. `genuine` of the target's class is their common probability at even odds.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from pipeline import Detections, Frame, Input, Operator, RoiFeatures, SettingsError, Tracks
-from pipeline.boxes import centres, iou, sizes
+from pipeline.boxes import centres, sizes
 from pipeline.contract import BEFORE
 from pipeline.errors import FoveaError
 
@@ -25,16 +24,9 @@ from pipeline.errors import FoveaError
 # the ROI alone in .965, by the encoder in .948 (python -m bench.second_look). Fitted anew to `roi`
 # the gains are no better there and were worse in the loop: operators/saliency/CARD.md.
 OF_SCORE, OF_ENCODER = 1.46, 0.58
-# The same of somebody whom the context's detector or `operators.kits` named a referee: of the
-# scores as referee and as another person, of the encoder, and a constant (python -m
-# bench.referee_looks). The regression knows the odds by kits, too; here they are taken as even.
-# That the ROI shows a person counts for him, since the detector may not know his kit.
-REFEREE, OF_PERSON = "referee", np.array([1.34, 0.82, 0.35, 4.24])
 LEAST = 0.005  # shares are clipped to LEAST .. 1 - LEAST
-LEAST_OF_PEOPLE = 0.02  # the same of people, whom the detector hardly misses
 UNKNOWN = 1.0  # what an encoder says that verifies nothing
 EVEN = 0.5
-SAME_PLACE, SAME_PERSON = 0.15, 0.5  # IoU of boxes in context and ROI, and of two in the ROI
 PEOPLE = ("player", "goalkeeper", "referee", "person")
 MOST_LISTED, LONGEST_NAME = 100, 100  # in a sentence: class names, and letters of one
 Array = NDArray[np.float32]
@@ -44,8 +36,7 @@ Array = NDArray[np.float32]
 class VerifySettings:
     """What a graph may set. Distances are pixels of the sensor."""
 
-    # the class that is looked at again; referees are judged as well, without the sizes below
-    target: str = "ball"
+    target: str = "ball"  # the class that is looked at again
     reach_px: float = 16.0  # between the centres of a candidate and of what the ROI shows of it
     edge_px: float = 30.0  # candidates nearer to the edge of the ROI are not judged
     # sides of the target as shares of the height of people: what is smaller or larger is none
@@ -65,8 +56,7 @@ class VerifySettings:
 class Verify(Operator[VerifySettings, RoiFeatures]):
     """One answer per ROI. Candidates at its edge are left out, other classes are passed on.
 
-    One that the context misses in this exposure is judged where it is foreseen. Referees are judged
-    where the detector in the ROI knows some.
+    One that the context misses in this exposure is judged where it is foreseen.
     """
 
     features = Input(RoiFeatures, keep="latest")
@@ -90,76 +80,30 @@ class Verify(Operator[VerifySettings, RoiFeatures]):
     def on_features_closer_tracks_roi(
         self, features: RoiFeatures, closer: Detections, tracks: Tracks, roi: Frame
     ) -> RoiFeatures:
-        """Return the features with what both networks say of targets and referees."""
-        shown = well_inside(tracks.boxes[:, -1], roi, self.settings.edge_px)
-        said = self._said(closer, tracks)
-        judged = {int(tracks.ids[row]): row for row in said}
+        """Return the features with what both networks say of the target."""
+        settings, boxes = self.settings, tracks.boxes[:, -1]
+        found = finds(closer, height_of_people(boxes, tracks.labels, tracks.names), settings)
+        own = [k for k, name in enumerate(tracks.names) if name == settings.target]
+        targets = np.flatnonzero(np.isin(tracks.labels, own))
+        scores = best_scores(boxes[targets], closer, found, settings.reach_px)
+        shown = well_inside(boxes, roi, settings.edge_px)
+        ids = tracks.ids[targets].tolist()
+        judged = dict(zip(ids, zip(targets, scores, strict=True), strict=True))
         genuine, kept = features.genuine.copy(), np.ones(len(features.ids), np.bool_)
-        encoder = np.where(genuine == UNKNOWN, EVEN, genuine)
         for index, object_id in enumerate(features.ids.tolist()):
             if object_id not in judged:
                 continue
-            row = judged[object_id]
+            row, score = judged[object_id]
             kept[index] = shown[row]
-            odds, of_encoder, least = said[row]
-            genuine[index] = expit(odds + of_encoder * log_odds(encoder[index], least))
+            encoder = EVEN if genuine[index] == UNKNOWN else genuine[index]
+            by_score, by_encoder = logit(np.clip([score, encoder], LEAST, 1 - LEAST))
+            genuine[index] = expit(OF_SCORE * by_score + OF_ENCODER * by_encoder)
         return replace(
             features,
             ids=features.ids[kept],
             features=features.features[kept],
             genuine=genuine[kept],
         )
-
-    def _said(self, closer: Detections, tracks: Tracks) -> dict[int, tuple[float, float, float]]:
-        """Return what the detector says of each candidate, by its row of `tracks`.
-
-        That is the logarithm of the odds, how much the encoder's word counts beside it, and to what
-        that is clipped.
-        """
-        settings, boxes = self.settings, tracks.boxes[:, -1]
-        found = finds(closer, height_of_people(boxes, tracks.labels, tracks.names), settings)
-        own = np.flatnonzero(named(tracks.labels, tracks.names, (settings.target,)))
-        best = best_scores(boxes[own], closer, found, settings.reach_px)
-        odds = OF_SCORE * log_odds(best)
-        said = {int(row): (odds[k], OF_ENCODER, LEAST) for k, row in enumerate(own)}
-        if REFEREE in closer.names:
-            own = np.flatnonzero(named(tracks.labels, tracks.names, (REFEREE,)))
-            people = np.flatnonzero(named(closer.labels, closer.names, PEOPLE))
-            referee = named(closer.labels[people], closer.names, (REFEREE,))
-            _, scores = seen_as(boxes[own], closer.boxes[people], closer.scores[people], referee)
-            odds = log_odds(scores, LEAST_OF_PEOPLE) @ OF_PERSON[:2] + OF_PERSON[3]
-            for k, row in enumerate(own):
-                said[int(row)] = odds[k], OF_PERSON[2], LEAST_OF_PEOPLE
-        return said
-
-
-def log_odds(shares: Any, least: float = LEAST) -> NDArray[np.float64]:
-    """Return the logarithm of the odds; shares are clipped to `least` .. 1 - `least`."""
-    return np.asarray(logit(np.clip(np.asarray(shares, np.float64), least, 1 - least)))
-
-
-def named(
-    labels: NDArray[np.integer], names: Sequence[str], wanted: Sequence[str]
-) -> NDArray[np.bool_]:
-    """Return which labels (n,) are of the classes wanted: (n,)."""
-    return np.isin(labels, [k for k, name in enumerate(names) if name in wanted])
-
-
-def seen_as(
-    boxes: Array, people: Array, scores: Array, referee: NDArray[np.bool_]
-) -> tuple[NDArray[np.intp], Array]:
-    """Return who of `people` in the ROI (m, 4) is at each box (n,), and two scores of each (n, 2).
-
-    Those are that this is a referee, and that it is another person. -1 and 0 where nobody is. Two
-    finds may be of one person.
-    """
-    at, seen = np.full(len(boxes), -1), np.zeros((len(boxes), 2), np.float32)
-    overlap, same = iou(boxes, people), iou(people, people) > SAME_PERSON
-    for row in np.flatnonzero((overlap >= SAME_PLACE).any(1)):
-        at[row] = overlap[row].argmax()
-        own = same[at[row]]
-        seen[row] = [scores[own & which].max(initial=0) for which in (referee, ~referee)]
-    return at, seen
 
 
 def best_scores(
@@ -181,13 +125,14 @@ def best_scores(
 
 def height_of_people(boxes: Array, labels: NDArray[np.int32], names: Sequence[str]) -> float:
     """Return the median height of people, pixels; 0 where there are none."""
-    people = named(labels, names, PEOPLE)
+    people = np.isin(labels, [k for k, name in enumerate(names) if name in PEOPLE])
     return float(np.median(boxes[people, 3] - boxes[people, 1])) if people.any() else 0.0
 
 
 def finds(closer: Detections, height_px: float, settings: VerifySettings) -> NDArray[np.intp]:
     """Return the rows of targets of a plausible size: (k,). Without people any size is."""
-    fit = named(closer.labels, closer.names, (settings.target,))
+    named = [k for k, name in enumerate(closer.names) if name == settings.target]
+    fit = np.isin(closer.labels, named)
     if height_px:
         share = sizes(closer.boxes) / height_px
         fit &= (share > settings.smallest) & (share < settings.largest)

@@ -8,10 +8,9 @@ from click.testing import CliRunner
 
 from bench.ball_candidates import labelled
 from bench.people_missed import PEOPLE
-from bench.referee_looks import People, PeopleLooks, by_kits, fitted, main, marks, rows_of
+from bench.referee_looks import LEAST, People, PeopleLooks, by_kits, fitted, main, marks, rows_of
 from drivers.scenes.soccer import SoccerScene
 from operators.saliency.example import NAMES
-from operators.verify import LEAST_OF_PEOPLE
 from pipeline.boxes import iou
 
 ROI, REFEREE_IN_ROI = (3, 4), 3
@@ -36,10 +35,10 @@ def pictures(seed: int, told: float = 3.0) -> list[People]:
 
 
 def test_what_tells_a_referee_has_the_gain() -> None:
-    weights = fitted(pictures(1), ROI)
+    weights = fitted(pictures(1), ROI, in_roi=True)
 
     assert weights[0] > 3 * abs(weights[1])
-    odds, right, present = marks(pictures(2), ROI, weights)
+    odds, right, present = marks(pictures(2), ROI, weights, in_roi=True)
     assert present == 40
     assert (right == (odds > 0)).mean() > 0.97
 
@@ -47,16 +46,16 @@ def test_what_tells_a_referee_has_the_gain() -> None:
 def test_the_box_of_the_roi_counts_where_it_was_looked_at() -> None:
     people = picture(np.random.default_rng(3))
 
-    assert people.by((0, 1))[0][4, 0] == people.referees[0, 0] + 6
-    assert people.by(ROI)[0][4, 0] == people.referees[0, 0]
+    assert people.by(ROI, in_roi=False)[0][4, 0] == people.referees[0, 0] + 6
+    assert people.by(ROI, in_roi=True)[0][4, 0] == people.referees[0, 0]
 
 
 def test_two_who_are_one_in_the_roi_count_once() -> None:
     boxes = np.array([[0, 0, 10, 30], [8, 0, 18, 30]], np.float32)
     people = People(boxes=boxes, shown=boxes[[0, 0]], known=np.zeros((2, 6)), referees=boxes[:1])
 
-    assert len(people.by((0, 1))[0]) == 2
-    assert len(people.by(ROI)[0]) == 1
+    assert len(people.by(ROI, in_roi=False)[0]) == 2
+    assert len(people.by(ROI, in_roi=True)[0]) == 1
 
 
 def test_the_confidence_is_that_of_the_development_pictures() -> None:
@@ -90,10 +89,15 @@ def test_somebody_faint_is_compared_with_those_who_are_sure() -> None:
     assert odds[7] > odds[8] + 1
 
 
-def test_beside_too_few_the_detectors_word_counts() -> None:
-    said, worn = np.array([[1.0, -2], [-1, 2]]), np.zeros((2, 2, 3))
+def test_beside_too_few_kits_count_nothing() -> None:
+    said = np.array([[1.0, -2], [-1, 2]])
+    red, yellow = np.full((2, 3), 100.0), np.full((2, 3), 200.0)
+    sure = np.array([True, False])
 
-    assert by_kits(said, worn, np.array([True, False])).tolist() == [3, -3]
+    odds = by_kits(said, np.array([red, yellow]), sure)
+
+    assert odds.tolist() == by_kits(said, np.array([red, red]), sure).tolist()
+    assert odds[0] > odds[1]  # the detector's word does
 
 
 def test_people_of_a_drawn_picture_are_found_and_looked_at() -> None:
@@ -119,7 +123,7 @@ def test_a_look_at_nobody_is_told_as_the_least_there_is() -> None:
     shown, known = PeopleLooks("", (0, 0)).look(lawn, box)
 
     assert shown.tolist() == box.tolist()
-    assert known[:2] == pytest.approx([np.log(LEAST_OF_PEOPLE / (1 - LEAST_OF_PEOPLE))] * 2)
+    assert known[:2] == pytest.approx([np.log(LEAST / (1 - LEAST))] * 2)
 
 
 def test_a_folder_without_a_description_is_told_in_a_sentence(tmp_path: Path) -> None:

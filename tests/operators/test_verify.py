@@ -1,6 +1,5 @@
 """Verify: a candidate is genuine where encoder and detector take it for one at full resolution."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,10 @@ from pipeline.testing import drive, header
 from tests.operators.policy.made_up import tracks
 
 NAMES = ("ball", "player")
-PEOPLE = ("player", "referee", "ball")
 WINDOW = (480, 270, 960, 540)
 
 
-def detections(
-    *objects: tuple[str, float, float, float, float], channels: int = 2,
-    names: tuple[str, ...] = NAMES,
-) -> Detections:  # fmt: skip
+def detections(*objects: tuple[str, float, float, float, float], channels: int = 2) -> Detections:
     """Return objects (class, score, centre x, centre y, height); as wide as high."""
     rows = np.array([o[1:] for o in objects], np.float32).reshape(-1, 4)
     half = rows[:, 3:] / 2
@@ -31,9 +26,9 @@ def detections(
         boxes=np.hstack([rows[:, 1:3] - half, rows[:, 1:3] + half]),
         angles=np.zeros(len(rows), np.float32),
         scores=rows[:, 0],
-        labels=np.array([names.index(o[0]) for o in objects], np.int32),
+        labels=np.array([NAMES.index(o[0]) for o in objects], np.int32),
         features=np.ones((len(rows), channels), np.float32),
-        names=names,
+        names=NAMES,
     )
 
 
@@ -119,49 +114,6 @@ def test_an_encoder_that_verifies_nothing_says_nothing() -> None:
 
 def test_nothing_in_the_roi_is_an_empty_answer() -> None:
     assert verified(tracks(0), detections(), {}) == {}
-
-
-def referee_with(*found: tuple[str, float], x: float = 702, encoder: float = 0.5) -> float:
-    """Return what is verified of a referee at 700, 400, where `found` is what the ROI shows."""
-    seen = detections(*((name, score, x, 400, 40) for name, score in found), names=PEOPLE)
-    world = replace(tracks(0, (1, 1, 700, 400, 0)), names=("ball", "referee"))
-    return verified(world, seen, {1: encoder})[1]
-
-
-def test_a_referee_is_one_where_the_roi_shows_a_referee() -> None:
-    assert referee_with(("referee", 0.7)) > 0.8
-    assert referee_with(("referee", 0.1), ("player", 0.8)) > 0.5 > referee_with(("player", 0.3))
-    assert referee_with() < 0.02
-    assert referee_with(("referee", 0.9), x=780) == referee_with()
-
-
-def test_a_referee_in_a_kit_that_the_roi_does_not_know_is_not_refuted_as_nobody_is() -> None:
-    """`operators.kits` told the class; the ROI shows that it is a person."""
-    assert referee_with(("player", 0.9)) > 10 * referee_with()
-
-
-def test_the_encoder_counts_for_a_referee() -> None:
-    assert referee_with(("referee", 0.2), encoder=0.9) > referee_with(("referee", 0.2)) + 0.05
-
-
-def test_a_referee_is_judged_by_who_is_at_that_place_and_not_by_a_surer_neighbour() -> None:
-    seen = detections(("player", 0.9, 725, 400, 40), ("referee", 0.3, 700, 400, 40), names=PEOPLE)
-    world = replace(tracks(0, (1, 1, 700, 400, 0)), names=("ball", "referee"))
-
-    alone = detections(("referee", 0.3, 700, 400, 40), names=PEOPLE)
-    assert verified(world, seen, {1: 0.5}) == verified(world, alone, {1: 0.5})
-
-
-def test_an_encoder_that_is_very_sure_counts_no_more_than_it_was_fitted_for() -> None:
-    assert referee_with(("referee", 0.2), encoder=0.001) == referee_with(
-        ("referee", 0.2), encoder=0.01
-    )
-
-
-def test_a_detector_that_knows_no_referees_leaves_them_to_the_encoder() -> None:
-    world = replace(tracks(0, (1, 1, 700, 400, 0)), names=("ball", "referee"))
-
-    assert verified(world, detections(), {1: 0.3})[1] == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(
