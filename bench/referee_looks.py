@@ -2,8 +2,9 @@
 
 In the stills of FOOTBALL the detector of the context finds people down to a score of .03. Full
 resolution around each is read by `closer` and encoder of `graphs/tracking.yaml`; where `closer`
-finds somebody there, its box counts. Logistic regressions over the development match weigh what
-each says, and choose the confidence at which referees have the precision of `--precision` there.
+finds somebody there, its box counts, or, to compare, that of the context. Logistic regressions over
+the development match weigh what each says, and choose the confidence at which referees have the
+precision of `--precision` there.
 For the matches left out, and for SEQUENCE, a SoccerNet folder, the table has precision and recall
 at that confidence, and recall at the least one that has this precision on these very pictures.
 """
@@ -37,9 +38,7 @@ from pipeline.whole_file import write_whole
 
 FAINTEST = 0.03  # score in the context of somebody who is looked at
 SURE = 0.3  # score of those among whom kits are compared
-LEAST = (
-    0.02  # score from which on `closer` reports people; shares are clipped to LEAST .. 1 - LEAST
-)
+LEAST = 0.02  # score of people in the ROI; shares are clipped to LEAST .. 1 - LEAST
 SAME_PLACE = 0.15  # IoU of somebody's boxes in the context and in the ROI
 # columns of what is known of somebody
 COLUMNS = "referee", "player", "kits", "referee in ROI", "player in ROI", "encoder"
