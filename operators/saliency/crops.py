@@ -39,13 +39,14 @@ WEIGHTS = {BALL_LABEL: 4.0, NAMES.index("referee"): 2.5}  # of what a crop is pl
 
 def augmented(
     still: Example, bank: Bank, rng: np.random.Generator, size_px: tuple[int, int] = CONTEXT_PX,
-    *, roi: bool = False,
+    *, roi: bool = False, difference: bool = True,
 ) -> Example:  # fmt: skip
     """Crop, mirror, add people, balls and corners, recolour kits, litter, degrade.
 
     For a picture larger than the context most are of its size and then enlarged, as the loop
     does it; the others show as much of the still as a larger context does. With `roi` it shows
-    what a ROI does, and more balls, in hands and in flight.
+    what a ROI does, and more balls, in hands and in flight. `difference`: what changed since the
+    frame before is made up as well.
     """
     if roi:
         example = crop(still, rng, size_px, scale=drawn_scale(rng))
@@ -60,7 +61,8 @@ def augmented(
         example = recoloured_team(example, rng)
     if rng.random() < 0.35:
         example = recoloured_referees(example, rng)
-    example = in_motion(example, rng)
+    if difference:
+        example = in_motion(example, rng)
     example = paste_people(example, bank, rng)
     example = paste_crowd(example, bank, rng)
     example = paste_at_boards(example, bank, rng)

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -106,8 +107,12 @@ class Real(Dataset[Example]):
     the square root. The stills are kept in memory, 6 MB each for full HD.
     """
 
-    def __init__(self, folders: Iterable[Stills], *, seed: int, roi_share: float = 0.0) -> None:
-        self._seed, self._folders, self._roi_share = seed, tuple(folders), roi_share
+    def __init__(
+        self, folders: Iterable[Stills], *, seed: int, roi_share: float = 0.0,
+        difference: bool = True,
+    ) -> None:  # fmt: skip
+        self._seed, self._folders = seed, tuple(folders)
+        self._roi_share, self._difference = roi_share, difference
         counts = np.array([len(folder.files) for folder in self._folders], np.float64)
         self._turns = np.sqrt(counts) / np.sqrt(counts).sum()
         self._kept: dict[Path, Example] = {}
@@ -125,7 +130,7 @@ class Real(Dataset[Example]):
         bank = Bank(count=len(folder.files), still=lambda index: self._still(folder, index))
         still = bank.still(int(rng.integers(bank.count)))
         roi = self._roi_share > 0 and rng.random() < self._roi_share
-        example = augmented(still, bank, rng, size_px, roi=roi)
+        example = augmented(still, bank, rng, size_px, roi=roi, difference=self._difference)
         # nothing says where the ball is that must be somewhere: no place counts as empty
         return example if (still.labels == BALL_LABEL).any() else without_ball(example)
 
@@ -219,6 +224,11 @@ def collate(examples: list[Example]) -> Batch:
     )
 
 
+def alone(_: int) -> None:
+    """Keep a process that prepares batches to one processor: there is one for each of them."""
+    cv2.setNumThreads(1)
+
+
 def stream(
     source: Dataset[Example], size: int, steps: range, *, workers: int = 1
 ) -> Iterator[Batch]:
@@ -230,6 +240,7 @@ def stream(
         num_workers=workers,
         collate_fn=collate,
         prefetch_factor=6,
+        worker_init_fn=alone,
         multiprocessing_context="spawn",
     )
     yield from in_sentences(loader)

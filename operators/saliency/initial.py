@@ -21,13 +21,15 @@ from pipeline.errors import WeightsError
 
 PREFIX = "net."
 MOVING = "moving."
+QUANTISED = "_quantized"  # what ONNX Runtime calls a tensor in whole numbers
 
 
 @torch.no_grad()
 def from_onnx(path: Path, net: DetectorNet, batch: Batch) -> None:
     """Load an ONNX file of `export` into a network; raises `WeightsError` for any other file.
 
-    Of a file without a head for a moving ball that head begins as the one for a still ball.
+    One in eight bits gives its weights as they were rounded. Of a file without a head for a moving
+    ball that head begins as the one for a still ball.
     """
     found = _initialisers(path)
     new = () if any(name.startswith(PREFIX + MOVING) for name in found) else (MOVING,)
@@ -85,7 +87,14 @@ def _initialisers(path: Path) -> dict[str, Tensor]:
     except Exception as error:  # protobuf raises kinds of its own
         raise WeightsError(f"{path}: expected an ONNX file, got {error}") from error
     arrays = {i.name: numpy_helper.to_array(i) for i in model.graph.initializer}
-    return {name: torch.tensor(array) for name, array in arrays.items()}
+    known = {name: torch.tensor(array) for name, array in arrays.items()}
+    for name in [name for name in known if name.endswith(QUANTISED)]:
+        own = name.removesuffix(QUANTISED)
+        scale = known.get(own + "_scale", known.get(name + "_scale"))
+        # of eight bits around zero; one scale, or one of each channel
+        if scale is not None and scale.shape in ((), known[name].shape[:1]):
+            known[own] = (known[name].float().movedim(0, -1) * scale).movedim(-1, 0)
+    return known
 
 
 def _fill(wanted: Tensor, found: dict[str, Tensor], name: str, path: Path) -> None:

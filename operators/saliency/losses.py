@@ -155,7 +155,7 @@ def _counted(batch: Batch, others: Tensor, cells: Tensor) -> Tensor:
 
 
 def losses(raw: Raw, batch: Batch, only: str = "") -> dict[str, Tensor]:
-    """All parts, weighted; their sum is what training lowers. `only`: those of one head."""
+    """All parts, weighted; their sum is what training lowers. `only`: those of one of `HEADS`."""
     parts: dict[str, Tensor] = {}
     balls = balls_of(batch) & ~batch.ignored
     if not only:
@@ -168,10 +168,10 @@ def losses(raw: Raw, batch: Batch, only: str = "") -> dict[str, Tensor]:
         )
         people, boxes = people_loss(raw, batch, centres, reach)
         parts |= {"people": people, "boxes": 2.0 * boxes}
-    if only in ("", "ball"):
+    if only != "moving":
         heat, place = ball_loss(raw.heat, raw.ball, batch, balls)
         parts |= {"heat": heat, "place": 2.0 * place}
-    if raw.moving is not None and only in ("", "moving"):
+    if raw.moving is not None and only != "ball":
         heat, place = ball_loss(*raw.moving, batch, balls & has_moved(batch))
         parts |= {"moving heat": heat, "moving place": 2.0 * place}
     return parts

@@ -84,12 +84,14 @@ def network(settings: TrainSettings) -> DetectorNet:
 
 
 def learning(net: DetectorNet, only: str = "") -> nn.Module:
-    """The part that learns: the network, or one of its heads."""
+    """The part that learns: the network, one of its heads, or both of those for a ball."""
+    if only == "balls":
+        return nn.ModuleDict({name: net.get_submodule(name) for name in ("ball", "moving")})
     return net.get_submodule(only) if only else net
 
 
 def learn(net: DetectorNet, only: str = "") -> None:
-    """Let a network learn, or one of its heads alone: the rest, norms too, stays as it is."""
+    """Let a network learn, or a part of it alone: the rest, norms too, stays as it is."""
     net.eval().requires_grad_(False)
     learning(net, only).train().requires_grad_(True)
 
@@ -117,10 +119,10 @@ def source_of(settings: TrainSettings) -> Mixed:
     for folder in real:
         for file in folder.files:
             folder.rows(file)  # a malformed text is refused now, and not in the midst of training
-    seed = settings.seed
+    seed, roi_share, difference = settings.seed, settings.roi_share, settings.difference
     return Mixed(
         Rendered(files, seed=seed, raw_share=settings.raw_share) if files else None,
-        Real(real, seed=seed, roi_share=settings.roi_share) if real else None,
+        Real(real, seed=seed, roi_share=roi_share, difference=difference) if real else None,
         settings.stills_share,
         seed,
         widths_px=settings.widths_px,

@@ -8,7 +8,8 @@ from operators.training.ranges import above_zero, at_least, known_device
 from operators.training.splits import HELD_OUT
 from pipeline.errors import SettingsError
 
-HEADS = ("ball", "moving")  # parts of the network that can be trained alone
+# parts of the network that can be trained alone; `balls` are both heads for one
+HEADS = ("ball", "moving", "balls")
 LEAST_PX = 256  # in a smaller input a ball of a ROI is hardly larger than in a context
 MOST_PX = 2048  # a batch of larger pictures would not fit into memory
 
@@ -69,7 +70,7 @@ class TrainSettings:
                 raise SettingsError(f"{name}: expected no difference, got one")
         if self.only not in ("", *HEADS):
             raise SettingsError(f"only: expected one of {', '.join(HEADS)}, got {self.only[:40]!r}")
-        if self.only == "moving" and not self.difference:
+        if self.only in ("moving", "balls") and not self.difference:
             raise SettingsError("only: expected a difference for the moving head, got none")
         if self.only and not self.init:
             raise SettingsError("only: expected weights to begin with (init) as well, got none")

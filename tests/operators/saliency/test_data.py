@@ -175,6 +175,13 @@ def test_only_a_roi_has_marks_and_hands(
         list(map(near.__getitem__, range(40)))
 
 
+def test_what_changed_is_made_up_only_for_a_network_that_reads_it(match: Path) -> None:
+    with_it, without = (Real([stills(match)], seed=1, difference=d) for d in (True, False))
+
+    assert any(with_it[k].difference is not None for k in range(8))
+    assert all(without[k].difference is None for k in range(8))
+
+
 @pytest.mark.parametrize(
     ("other", "said"), [({}, "expected stills"), ({"difference": True}, "expected no difference")]
 )

@@ -13,6 +13,7 @@ from operators.saliency.data import Batch
 from operators.saliency.example import INPUT_PX
 from operators.saliency.initial import from_onnx
 from operators.saliency.model import DetectorNet, Exported
+from operators.saliency.saliency import SHIPPED
 from pipeline import WeightsError
 from pipeline.inference import Network
 from tests.operators.networks import constant_network
@@ -85,6 +86,20 @@ def test_what_reads_the_difference_is_taken_back_too(tmp_path: Path) -> None:
         output, _ = Exported(net.eval())(pictures)
     said = Network(path, threads=1)({"images": pictures.numpy()})["output"]
     assert np.allclose(output.numpy()[:, :6], said[:, :6], atol=1e-2)
+
+
+def test_weights_in_eight_bits_are_taken_back_nearly_as_they_were() -> None:
+    was, now = DetectorNet(), DetectorNet()
+
+    from_onnx(SHIPPED, was, batch())
+    from_onnx(SHIPPED.with_name("detector_int8.onnx"), now, batch())
+
+    with torch.no_grad():
+        before, after = was.eval()(batch().inputs(3)), now.eval()(batch().inputs(3))
+    pairs = [(before.scores, after.scores), (before.heat, after.heat)]
+    pairs.append((before.features, after.features))
+    for one, other in pairs:
+        assert torch.corrcoef(torch.stack([one.flatten(), other.flatten()]))[0, 1] > 0.97
 
 
 def test_another_network_is_refused(tmp_path: Path) -> None:
