@@ -139,14 +139,20 @@ def of_sequence(folder: Path, looker: Looker, every: int) -> Iterator[tuple[Labe
         yield small, looker.look(small.picture, changed(looker, source, k, small))
 
 
-def stills_of(folder: Path, split: str) -> Iterator[Labelled]:
-    """Yield the stills of a split, with the numbers of `NAMES`."""
+def stills_of(folder: Path, split: str, only: Sequence[str] = ("",)) -> Iterator[Labelled]:
+    """Yield the stills of a split, with the numbers of `NAMES`.
+
+    `only`: those whose names begin with one of these; raises `SettingsError` where none does.
+    """
     known = class_names(folder / "data.yaml")
     own = {k: KNOWN.get(name, name) for k, name in known.items()}
     if other := sorted(set(own.values()) - set(NAMES)):
         raise SettingsError(f"{folder}: expected classes {', '.join(NAMES)}, got {other[0][:40]}")
     number = {k: NAMES.index(name) for k, name in own.items()}
-    for file in track(of_split(folder, split), folder.name, console=Console(stderr=True)):
+    files = [file for file in of_split(folder, split) if file.name.startswith(tuple(only))]
+    if not files:
+        raise SettingsError(f"{folder}: expected stills of {', '.join(only)}, got none")
+    for file in track(files, folder.name, console=Console(stderr=True)):
         still = read_labelled(file)
         if unknown := {int(k) for k in still.numbers} - number.keys():
             raise DriverError(f"{file}: expected a class of data.yaml, got {min(unknown)}")

@@ -5,8 +5,11 @@ resolution around each is read by `closer` and encoder of `graphs/tracking.yaml`
 finds somebody there, its box counts, or, to compare, that of the context. Logistic regressions over
 the development match weigh what each says, and choose the confidence at which referees have the
 precision of `--precision` there.
-For the matches left out, and for SEQUENCE, a SoccerNet folder, the table has precision and recall
-at that confidence, and recall at the least one that has this precision on these very pictures.
+`--fold MATCH,…=CONTEXT,CLOSER` names stills that the detectors were trained on, and two that were
+not: with these looked at by those, weights and confidence are those of many matches, and each match
+is told by the others as well. For the matches left out, and for SEQUENCE, a SoccerNet folder, the
+table has precision and recall at that confidence, and recall at the least one that has this
+precision on these very pictures.
 """
 
 import json
@@ -22,6 +25,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from scipy.special import logit
 
+from bench.detector import TRAINING
 from bench.detector_scoring import Looker
 from bench.detector_versions import named
 from bench.kits import scaled
@@ -34,6 +38,7 @@ from operators import kits
 from operators.saliency.example import NAMES
 from operators.training.stills import Labelled
 from pipeline.boxes import iou
+from pipeline.errors import SettingsError
 from pipeline.whole_file import write_whole
 
 FAINTEST = 0.03  # score in the context of somebody who is looked at
@@ -52,6 +57,9 @@ WAYS = {  # columns, and whether the ROI's box counts
     "the ROI and kits, boxes of the context": ((*ROI, *KITS), False),
     "the ROI, encoder and kits": ((*ROI, *ENCODER, *KITS), True),
 }  # fmt: skip
+WITHOUT_ENCODER = [way for way, (columns, _) in WAYS.items() if not {*ENCODER} & {*columns}]
+ALL, EACH = "development and folds", "each match by the others"
+FOLD_PX = (736, 416)  # input of a fold's detector of the context
 Array = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Row = dict[str, Any]
@@ -78,11 +86,14 @@ class People:
 
 
 class PeopleLooks:
-    """A detector of the context, and what `graphs/tracking.yaml` has for a ROI."""
+    """A detector of the context, and what `graphs/tracking.yaml` has for a ROI.
 
-    def __init__(self, file: str, input_px: tuple[int, int]) -> None:
+    `closer`: weights of the detector there, where they are others.
+    """
+
+    def __init__(self, file: str, input_px: tuple[int, int], closer: str = "") -> None:
         self._context = Looker(file, {}, 1 / SCALE, 1, confidence=FAINTEST, input_px=input_px)
-        self._looks = Looks(dict.fromkeys(PEOPLE, LEAST))
+        self._looks = Looks(dict.fromkeys(PEOPLE, LEAST), closer)
 
     def people(self, whole: Labelled) -> People:
         """Return who is found in a picture of the sensor, and what a look at each tells."""
@@ -168,27 +179,69 @@ def fitted(people: Sequence[People], columns: Sequence[int], *, in_roi: bool) ->
     return scaled(np.concatenate([own for _, own in known]), np.concatenate(right))
 
 
-def rows_of(version: str, data: Mapping[str, Sequence[People]], precision: float) -> Iterator[Row]:
+def rows_of(
+    version: str, data: Mapping[str, Sequence[People]], precision: float,
+    ways: Iterable[str] = tuple(WAYS),
+) -> Iterator[Row]:  # fmt: skip
     """Yield the figures of referees by each way, fitted to the first of the data."""
-    development = next(iter(data.values()))
-    for way, (columns, in_roi) in WAYS.items():
+    known, development = next(iter(data.items()))
+    for way in ways:
+        columns, in_roi = WAYS[way]
         weights = fitted(development, columns, in_roi=in_roi)
         odds, right, _ = marks(development, columns, weights, in_roi=in_roi)
         chosen = least_confidence(odds, right, precision)
         told_by = [*(COLUMNS[column] for column in columns), "constant"]
         gains = ", ".join(f"{n} {w:.3g}" for n, w in zip(told_by, weights, strict=True))
         for name, people in data.items():
-            odds, right, present = marks(people, columns, weights, in_roi=in_roi)
-            own = least_confidence(odds, right, precision)
-            kept = odds >= (np.inf if chosen is None else chosen)
-            at_best = odds >= (np.inf if own is None else own)
-            yield {
-                "version": version, "data": name, "told by": way, "gains": gains,
-                "present": present, "precision": told(right[kept]) if kept.any() else None,
-                "recall": share(right, kept, present),
-                f"recall at {precision:g}": share(right, at_best, present),
-                "recall at any": share(right, np.ones(len(odds), np.bool_), present),
-            }  # fmt: skip
+            found = marks(people, columns, weights, in_roi=in_roi)
+            row = {"version": version, "data": name, "told by": way, "fitted to": known}
+            yield row | {"gains": gains} | figures(found, chosen, precision)
+
+
+def by_others(
+    version: str, matches: Sequence[Sequence[People]], precision: float, ways: Iterable[str]
+) -> Iterator[Row]:
+    """Yield the figures of referees of all matches, each by weights fitted to the others."""
+    for way in ways:
+        columns, in_roi = WAYS[way]
+        found = []
+        for own, match in enumerate(matches):
+            others = [of for k, rest in enumerate(matches) if k != own for of in rest]
+            weights = fitted(others, columns, in_roi=in_roi)
+            found.append(marks(match, columns, weights, in_roi=in_roi))
+        odds, right, present = zip(*found, strict=True)
+        both = np.concatenate(odds), np.concatenate(right), sum(present)
+        row = {"version": version, "data": EACH, "told by": way, "fitted to": "the others"}
+        yield row | {"gains": ""} | figures(both, None, precision)
+
+
+def figures(
+    found: tuple[Array, NDArray[np.bool_], int], chosen: float | None, precision: float
+) -> Row:
+    """Return the figures of those found, at a confidence and at the least one of a precision."""
+    odds, right, present = found
+    own = least_confidence(odds, right, precision)
+    kept = odds >= (np.inf if chosen is None else chosen)
+    at_best = odds >= (np.inf if own is None else own)
+    return {
+        "present": present, "precision": told(right[kept]) if kept.any() else None,
+        "recall": share(right, kept, present),
+        f"recall at {precision:g}": share(right, at_best, present),
+        "recall at any": share(right, np.ones(len(odds), np.bool_), present),
+    }  # fmt: skip
+
+
+def fold(text: str) -> tuple[tuple[str, ...], str, str]:
+    """Return matches, and weights for context and ROI, of a fold; raises `SettingsError`.
+
+    >>> fold("08fd33,538438=a.onnx,b.onnx")
+    (('08fd33', '538438'), 'a.onnx', 'b.onnx')
+    """
+    matches, _, files = text.partition("=")
+    context, _, closer = files.partition(",")
+    if not (all(matches.split(",")) and context and closer):
+        raise SettingsError(f"fold: expected MATCH,…=CONTEXT,CLOSER, got {text[:60]!r}")
+    return tuple(matches.split(",")), context, closer
 
 
 def share(right: NDArray[np.bool_], kept: NDArray[np.bool_], present: int) -> float:
@@ -200,30 +253,41 @@ def share(right: NDArray[np.bool_], kept: NDArray[np.bool_], present: int) -> fl
 @click.argument("versions", nargs=-1, required=True)
 @click.option("--football", type=click.Path(path_type=Path, exists=True), required=True)
 @click.option("--sequence", type=click.Path(path_type=Path, exists=True), help="SoccerNet's.")
+@click.option("--fold", "folds", multiple=True, metavar="MATCH,…=CONTEXT,CLOSER")
 @click.option("--every", default=5, show_default=True, type=click.IntRange(1), help="Frames.")
 @click.option("--precision", default=0.85, show_default=True, type=click.FloatRange(0, 1))
 @JSON
 def main(
-    versions: Sequence[str], football: Path, sequence: Path | None, every: int,
-    precision: float, path: Path | None,
+    versions: Sequence[str], football: Path, sequence: Path | None, folds: Sequence[str],
+    every: int, precision: float, path: Path | None,
 ) -> None:  # fmt: skip
     """Say how a look at full resolution tells referees."""
     rows: list[Row] = []
+    matches = list[Sequence[People]]()
+    for names, context, closer in map(fold, folds):
+        looks = PeopleLooks(context, FOLD_PX, closer)
+        matches += [
+            [looks.people(still) for still in stills_of(football, TRAINING, (name,))]
+            for name in names
+        ]
     for version, file, input_px in map(named, versions):
         looks = PeopleLooks(file, input_px)
-        data = {
-            "development": [looks.people(still) for still in stills_of(football, "development")],
-            "left out": [looks.people(still) for still in stills_of(football, "test")],
-        }
+        development = [looks.people(still) for still in stills_of(football, "development")]
+        left_out = {"left out": [looks.people(still) for still in stills_of(football, "test")]}
         if sequence:
             frames = frames_of(sequence, every)
-            data[sequence.name] = [looks.people(frame) for *_, frame in frames]
-        rows += rows_of(version, data, precision)
+            left_out[sequence.name] = [looks.people(frame) for *_, frame in frames]
+        rows += rows_of(version, {"development": development} | left_out, precision)
+        if matches:
+            known = {ALL: [of for match in (development, *matches) for of in match]}
+            rows += rows_of(version, known | left_out, precision, WITHOUT_ENCODER)
+            rows += by_others(version, [development, *matches], precision, WITHOUT_ENCODER)
     Console().print(table("referees", rows))
     if path:
         report = facts() | {
             "bench": "referee_looks", "scale": 1 / SCALE, "every": every,
-            "precision_chosen": precision, "rows": rows,
+            "precision_chosen": precision, "folds": [fold(text)[0] for text in folds],
+            "rows": rows,
         }  # fmt: skip
         write_whole(path, json.dumps(report, indent=1) + "\n")
 

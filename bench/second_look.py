@@ -59,14 +59,16 @@ IN_USE = np.array([*SEEN, OF_SCORE, OF_ENCODER])
 class Looks:
     """The networks of `graphs/tracking.yaml` with its settings, on one thread.
 
-    `confidence` is that of classes in the ROI, where it is not the graph's.
+    `confidence` is that of classes in the ROI, and `closer` the weights there, where they are not
+    the graph's.
     """
 
-    def __init__(self, confidence: Mapping[str, float]) -> None:
+    def __init__(self, confidence: Mapping[str, float], closer: str = "") -> None:
         nodes = {node.name: dict(node.settings) for node in load(GRAPH).nodes}
         context = nodes["saliency"] | USUAL
         least = nodes["closer"].get("class_confidence", {}) | confidence
         roi = nodes["closer"] | USUAL | {"class_confidence": least}
+        roi |= {"weights": closer} if closer else {}
         self.context, self.roi = (
             Detector(build(SaliencySettings, values, "saliency")) for values in (context, roi)
         )

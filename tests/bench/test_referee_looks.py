@@ -8,10 +8,22 @@ from click.testing import CliRunner
 
 from bench.ball_candidates import labelled
 from bench.people_missed import PEOPLE
-from bench.referee_looks import LEAST, People, PeopleLooks, by_kits, fitted, main, marks, rows_of
+from bench.referee_looks import (
+    LEAST,
+    People,
+    PeopleLooks,
+    by_kits,
+    by_others,
+    fitted,
+    fold,
+    main,
+    marks,
+    rows_of,
+)
 from drivers.scenes.soccer import SoccerScene
 from operators.saliency.example import NAMES
 from pipeline.boxes import iou
+from pipeline.errors import SettingsError
 
 ROI, REFEREE_IN_ROI = (3, 4), 3
 
@@ -68,6 +80,23 @@ def test_the_confidence_is_that_of_the_development_pictures() -> None:
     assert other["precision"] < 0.85
     assert other["recall at 0.85"] < other["recall"] <= other["recall at any"] == 1
     assert rows["left out", "the context"]["recall at any"] == 0  # their boxes are off
+
+
+def test_each_match_is_told_by_the_others() -> None:
+    (row,) = by_others("new", [pictures(1), pictures(2), pictures(3)], 0.85, ["the ROI"])
+
+    assert row["present"] == 120
+    assert row["recall at 0.85"] > 0.9
+    assert (row["precision"], row["recall"]) == (None, 0)  # no confidence was chosen before
+
+    misled = [pictures(1, told=-3.0), pictures(2), pictures(3, told=-3.0)]  # by those of players
+    assert next(by_others("new", misled, 0.85, ["the ROI"]))["recall at 0.85"] < 0.5
+
+
+@pytest.mark.parametrize("text", ["", "a", "a=b", "=b,c", "a,=b,c", "a=,c"])
+def test_a_fold_has_matches_and_two_files(text: str) -> None:
+    with pytest.raises(SettingsError, match=r"^fold: expected MATCH,…=CONTEXT,CLOSER, got"):
+        fold(text)
 
 
 def test_a_way_that_never_has_the_precision_finds_nobody_at_it() -> None:
