@@ -92,7 +92,7 @@ def test_a_training_on_a_gpu_resumes_without_one(tmp_path: Path) -> None:
 
 
 def test_options_of_the_command_line_become_settings() -> None:
-    settings, target = asked(["--data", "a", "b", "--out", "c"])
+    settings, target, _ = asked(["--data", "a", "b", "--out", "c"])
 
     assert settings == TrainSettings(data=(Path("a"), Path("b")), out=Path("c"))
     assert target is None
@@ -215,6 +215,33 @@ def test_a_network_that_reads_the_difference_says_so_in_its_file(tmp_path: Path)
     changed[100:110, 100:110] = 200
     detector.look(picture, changed)
     assert detector.channels == 64
+
+
+def test_the_head_for_a_moving_ball_can_be_left_out_of_the_file(tmp_path: Path) -> None:
+    Run(replace(settings_in(tmp_path), difference=True)).save()
+    words = ["--data", str(tmp_path), "--out", str(tmp_path), "--difference"]
+
+    main([*words, "--export", str(tmp_path / "both")])
+    main([*words, "--export", str(tmp_path / "still"), "--without-moving"])
+
+    both, still = (
+        Detector(SaliencySettings(weights=str(tmp_path / name / "detector.onnx")))
+        for name in ("both", "still")
+    )
+    assert both.reads_difference
+    assert not still.reads_difference
+    picture = np.random.default_rng(1).integers(0, 256, (270, 480, 3)).astype(np.uint8)
+    unchanged = np.zeros((270, 480), np.int16)
+    assert np.allclose(both.look(picture, unchanged)[2], still.look(picture)[2], atol=1e-5)
+
+
+@pytest.mark.parametrize("words", [["--export", "x"], ["--difference"]])
+def test_a_head_is_left_out_only_of_a_file_of_a_network_that_has_it(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["--data", str(tmp_path), "--out", str(tmp_path), "--without-moving", *words])
+    assert "without_moving: expected" in capsys.readouterr().err
 
 
 def test_a_head_is_not_trained_alone_from_nothing_and_no_other_part_is(tmp_path: Path) -> None:
