@@ -142,7 +142,7 @@ def of_sequence(folder: Path, looker: Looker, every: int) -> Iterator[tuple[Labe
 def stills_of(folder: Path, split: str, only: Sequence[str] = ("",)) -> Iterator[Labelled]:
     """Yield the stills of a split, with the numbers of `NAMES`.
 
-    `only`: those whose names begin with one of these; raises `SettingsError` where none does.
+    `only`: those whose names begin with one of these. Raises `SettingsError` where there is none.
     """
     known = class_names(folder / "data.yaml")
     own = {k: KNOWN.get(name, name) for k, name in known.items()}
@@ -151,7 +151,8 @@ def stills_of(folder: Path, split: str, only: Sequence[str] = ("",)) -> Iterator
     number = {k: NAMES.index(name) for k, name in own.items()}
     files = [file for file in of_split(folder, split) if file.name.startswith(tuple(only))]
     if not files:
-        raise SettingsError(f"{folder}: expected stills of {', '.join(only)}, got none")
+        some = ", ".join(only)
+        raise SettingsError(f"{folder}: expected {split} stills named {some}…, got none")
     for file in track(files, folder.name, console=Console(stderr=True)):
         still = read_labelled(file)
         if unknown := {int(k) for k in still.numbers} - number.keys():

@@ -5,11 +5,11 @@ resolution around each is read by `closer` and encoder of `graphs/tracking.yaml`
 finds somebody there, its box counts, or, to compare, that of the context. Logistic regressions over
 the development match weigh what each says, and choose the confidence at which referees have the
 precision of `--precision` there.
-`--fold MATCH,…=CONTEXT,CLOSER` names stills that the detectors were trained on, and two that were
-not: with these looked at by those, weights and confidence are those of many matches, and each match
-is told by the others as well. For the matches left out, and for SEQUENCE, a SoccerNet folder, the
-table has precision and recall at that confidence, and recall at the least one that has this
-precision on these very pictures.
+`--fold MATCH,…=CONTEXT,CLOSER` names matches of the training, and two detectors that were not
+trained on them. Their stills are looked at by these two; weights and confidence are then fitted to
+them and the development match together as well, and each match is told by the others.
+For the matches left out, and for SEQUENCE, a SoccerNet folder, the table has precision and recall
+at that confidence, and recall at the least one that has this precision on these very pictures.
 """
 
 import json
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from scipy.special import logit
 
-from bench.detector import TRAINING
+from bench.detector import TRAINING, of_split
 from bench.detector_scoring import Looker
 from bench.detector_versions import named
 from bench.kits import scaled
@@ -57,6 +57,7 @@ WAYS = {  # columns, and whether the ROI's box counts
     "the ROI and kits, boxes of the context": ((*ROI, *KITS), False),
     "the ROI, encoder and kits": ((*ROI, *ENCODER, *KITS), True),
 }  # fmt: skip
+# the encoder was trained on the matches of folds
 WITHOUT_ENCODER = [way for way, (columns, _) in WAYS.items() if not {*ENCODER} & {*columns}]
 ALL, EACH = "development and folds", "each match by the others"
 FOLD_PX = (736, 416)  # input of a fold's detector of the context
@@ -212,7 +213,8 @@ def by_others(
         odds, right, present = zip(*found, strict=True)
         both = np.concatenate(odds), np.concatenate(right), sum(present)
         row = {"version": version, "data": EACH, "told by": way, "fitted to": "the others"}
-        yield row | {"gains": ""} | figures(both, None, precision)
+        unchosen = {"gains": "", "precision": None, "recall": None}
+        yield row | figures(both, None, precision) | unchosen
 
 
 def figures(
@@ -238,10 +240,25 @@ def fold(text: str) -> tuple[tuple[str, ...], str, str]:
     (('08fd33', '538438'), 'a.onnx', 'b.onnx')
     """
     matches, _, files = text.partition("=")
-    context, _, closer = files.partition(",")
-    if not (all(matches.split(",")) and context and closer):
+    names, both = ([part.strip() for part in each.split(",")] for each in (matches, files))
+    if not all([*names, *both]) or len(both) != 2:
         raise SettingsError(f"fold: expected MATCH,…=CONTEXT,CLOSER, got {text[:60]!r}")
-    return tuple(matches.split(",")), context, closer
+    return tuple(names), both[0], both[1]
+
+
+def folds_of(texts: Sequence[str], folder: Path) -> list[tuple[tuple[str, ...], str, str]]:
+    """Return all folds as `fold` does; raises `SettingsError` where stills are in none or in two.
+
+    No still may be told by itself.
+    """
+    folds = [fold(text) for text in texts]
+    names = [name for matches, _, _ in folds for name in matches]
+    for name in names:
+        if sum(other.startswith(name) or name.startswith(other) for other in names) > 1:
+            raise SettingsError(f"fold: expected each match once, got {name} again")
+        if not any(file.name.startswith(name) for file in of_split(folder, TRAINING)):
+            raise SettingsError(f"fold: expected matches of {folder}'s training, got {name}")
+    return folds
 
 
 def share(right: NDArray[np.bool_], kept: NDArray[np.bool_], present: int) -> float:
@@ -253,7 +270,10 @@ def share(right: NDArray[np.bool_], kept: NDArray[np.bool_], present: int) -> fl
 @click.argument("versions", nargs=-1, required=True)
 @click.option("--football", type=click.Path(path_type=Path, exists=True), required=True)
 @click.option("--sequence", type=click.Path(path_type=Path, exists=True), help="SoccerNet's.")
-@click.option("--fold", "folds", multiple=True, metavar="MATCH,…=CONTEXT,CLOSER")
+@click.option(
+    "--fold", "folds", multiple=True, metavar="MATCH,…=CONTEXT,CLOSER",
+    help="Several times: matches of the training and detectors that did not see them, at 736x416.",
+)  # fmt: skip
 @click.option("--every", default=5, show_default=True, type=click.IntRange(1), help="Frames.")
 @click.option("--precision", default=0.85, show_default=True, type=click.FloatRange(0, 1))
 @JSON
@@ -264,7 +284,8 @@ def main(
     """Say how a look at full resolution tells referees."""
     rows: list[Row] = []
     matches = list[Sequence[People]]()
-    for names, context, closer in map(fold, folds):
+    parsed = folds_of(folds, football)
+    for names, context, closer in parsed:
         looks = PeopleLooks(context, FOLD_PX, closer)
         matches += [
             [looks.people(still) for still in stills_of(football, TRAINING, (name,))]
@@ -286,7 +307,7 @@ def main(
     if path:
         report = facts() | {
             "bench": "referee_looks", "scale": 1 / SCALE, "every": every,
-            "precision_chosen": precision, "folds": [fold(text)[0] for text in folds],
+            "precision_chosen": precision, "folds": parsed,
             "rows": rows,
         }  # fmt: skip
         write_whole(path, json.dumps(report, indent=1) + "\n")

@@ -224,8 +224,8 @@ def collate(examples: list[Example]) -> Batch:
     )
 
 
-def alone(_: int) -> None:
-    """Keep a process that prepares batches to one processor: there is one for each of them."""
+def one_thread(_: int) -> None:
+    """Keep OpenCV to one thread in a process that prepares batches: each would use them all."""
     cv2.setNumThreads(1)
 
 
@@ -240,7 +240,7 @@ def stream(
         num_workers=workers,
         collate_fn=collate,
         prefetch_factor=6,
-        worker_init_fn=alone,
+        worker_init_fn=one_thread,
         multiprocessing_context="spawn",
     )
     yield from in_sentences(loader)

@@ -84,16 +84,21 @@ def _normed(net: nn.Module) -> Iterator[tuple[str, nn.Sequential]]:
 def _initialisers(path: Path) -> dict[str, Tensor]:
     try:
         model = onnx.load(path)
+        arrays = {i.name: numpy_helper.to_array(i) for i in model.graph.initializer}
+        known = {name: torch.tensor(array) for name, array in arrays.items()}
     except Exception as error:  # protobuf raises kinds of its own
         raise WeightsError(f"{path}: expected an ONNX file, got {error}") from error
-    arrays = {i.name: numpy_helper.to_array(i) for i in model.graph.initializer}
-    known = {name: torch.tensor(array) for name, array in arrays.items()}
     for name in [name for name in known if name.endswith(QUANTISED)]:
         own = name.removesuffix(QUANTISED)
-        scale = known.get(own + "_scale", known.get(name + "_scale"))
-        # of eight bits around zero; one scale, or one of each channel
-        if scale is not None and scale.shape in ((), known[name].shape[:1]):
-            known[own] = (known[name].float().movedim(0, -1) * scale).movedim(-1, 0)
+        scale, zero = (
+            known.get(own + end, known.get(name + end)) for end in ("_scale", "_zero_point")
+        )
+        # one scale, or one of each channel; what `quantise` writes lies around zero
+        if scale is None or scale.shape not in ((), known[name].shape[:1]):
+            raise WeightsError(f"{path}: expected a scale of each channel of {own}, got none")
+        if zero is not None and zero.any():
+            raise WeightsError(f"{path}: expected {own} around zero, got another zero point")
+        known[own] = (known[name].float().movedim(0, -1) * scale).movedim(-1, 0)
     return known
 
 
@@ -103,4 +108,6 @@ def _fill(wanted: Tensor, found: dict[str, Tensor], name: str, path: Path) -> No
         got = "none" if given is None else str(tuple(given.shape))
         what = f"expected this detector's {name} {tuple(wanted.shape)}"
         raise WeightsError(f"{path}: {what}, got {got}")
+    if not given.isfinite().all():
+        raise WeightsError(f"{path}: expected finite numbers in {name}, got others")
     wanted.copy_(given)

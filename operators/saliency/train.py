@@ -39,7 +39,7 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None, bool
     )
     parser.add_argument(
         "--without-moving", action="store_true",
-        help="export without the head for a moving ball, which then reads no difference",
+        help="export without the head for a moving ball: that file reads no difference",
     )  # fmt: skip
     parser.add_argument(
         "--init", type=Path,
@@ -50,7 +50,10 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None, bool
         help="add a head for a moving ball, which reads what changed since the frame before",
     )  # fmt: skip
     parser.add_argument(
-        "--only", default="", choices=HEADS, help="train this head and leave the rest as it is"
+        "--only",
+        default="",
+        choices=HEADS,
+        help="train this head, or both for a ball, and leave the rest as it is",
     )
     parser.add_argument("--compiled", action="store_true", help="compile first: needs g++")
     parser.add_argument("--device", default="auto", help=DEVICES)
@@ -59,8 +62,9 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None, bool
     target, without_moving = given.pop("export"), given.pop("without_moving")
     lists = {name: tuple(given[name]) for name in ("data", "stills", "leave_out")}
     settings = TrainSettings(**(given | lists))
-    if without_moving and not (target and settings.difference):
-        raise SettingsError("without_moving: expected --export and --difference as well")
+    for name, other in (("export", target), ("difference", settings.difference)):
+        if without_moving and not other:
+            raise SettingsError(f"without_moving: expected --{name} as well, got none")
     return settings, target, without_moving
 
 

@@ -16,6 +16,7 @@ from bench.referee_looks import (
     by_others,
     fitted,
     fold,
+    folds_of,
     main,
     marks,
     rows_of,
@@ -24,6 +25,7 @@ from drivers.scenes.soccer import SoccerScene
 from operators.saliency.example import NAMES
 from pipeline.boxes import iou
 from pipeline.errors import SettingsError
+from tests.operators.training.labelled_stills import match_of_stills
 
 ROI, REFEREE_IN_ROI = (3, 4), 3
 
@@ -87,16 +89,36 @@ def test_each_match_is_told_by_the_others() -> None:
 
     assert row["present"] == 120
     assert row["recall at 0.85"] > 0.9
-    assert (row["precision"], row["recall"]) == (None, 0)  # no confidence was chosen before
+    assert (row["precision"], row["recall"]) == (None, None)  # no confidence was chosen before
 
-    misled = [pictures(1, told=-3.0), pictures(2), pictures(3, told=-3.0)]  # by those of players
-    assert next(by_others("new", misled, 0.85, ["the ROI"]))["recall at 0.85"] < 0.5
+    # of a match with one picture all that is known comes from one in which players are told so
+    misled = [of for seed in range(3, 11) for of in pictures(seed, told=-3.0)]
+    (row,) = by_others("new", [misled, pictures(2)[:1]], 0.5, ["the ROI"])
+    assert row["recall at 0.5"] < 0.1
 
 
-@pytest.mark.parametrize("text", ["", "a", "a=b", "=b,c", "a,=b,c", "a=,c"])
+@pytest.mark.parametrize(
+    "text", ["", "a", "a=b", "=b,c", "a,=b,c", "a=,c", " =b,c", "a=b, ", "a=b,c,d"]
+)
 def test_a_fold_has_matches_and_two_files(text: str) -> None:
     with pytest.raises(SettingsError, match=r"^fold: expected MATCH,…=CONTEXT,CLOSER, got"):
         fold(text)
+
+
+@pytest.mark.parametrize(
+    ("texts", "said"),
+    [
+        (["aa,aa=b,c"], "expected each match once, got aa"),
+        (["aa=b,c", "aa_1=b,c"], "expected each match once, got aa"),
+        (["aa=b,c", "bb=b,c"], "expected matches of .* training, got bb"),
+    ],
+)
+def test_no_still_is_in_two_folds_or_in_none(texts: list[str], said: str, tmp_path: Path) -> None:
+    folder = match_of_stills(tmp_path, "aa_1", "aa_2")
+
+    assert folds_of(["aa=b,c"], folder) == [(("aa",), "b", "c")]
+    with pytest.raises(SettingsError, match=f"^fold: {said}"):
+        folds_of(texts, folder)
 
 
 def test_a_way_that_never_has_the_precision_finds_nobody_at_it() -> None:

@@ -1,13 +1,17 @@
 """An exported detector can be trained on: its weights are taken back, and it says the same."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("torch", reason="needs the train extra")
 pytest.importorskip("onnx", reason="needs the train extra")
+import onnx
 import torch
+from numpy.typing import NDArray
+from onnx import numpy_helper
 
 from operators.saliency.data import Batch
 from operators.saliency.example import INPUT_PX
@@ -100,6 +104,27 @@ def test_weights_in_eight_bits_are_taken_back_nearly_as_they_were() -> None:
     pairs.append((before.features, after.features))
     for one, other in pairs:
         assert torch.corrcoef(torch.stack([one.flatten(), other.flatten()]))[0, 1] > 0.97
+
+
+@pytest.mark.parametrize(
+    ("tensor", "value", "said"),
+    [
+        ("net.ball.detail.0.weight_scale", np.ones(3, np.float32), "a scale of each channel of"),
+        ("net.ball.detail.0.weight_zero_point", np.full(32, 20, np.int8), "around zero"),
+        ("net.ball.heat.bias", np.full(1, np.nan, np.float32), "expected finite numbers"),
+        ("net.ball.heat.bias", np.array(["a"], np.object_), "expected an ONNX file"),
+    ],
+)
+def test_damaged_weights_in_eight_bits_are_refused(
+    tensor: str, value: NDArray[Any], said: str, tmp_path: Path
+) -> None:
+    model = onnx.load(SHIPPED.with_name("detector_int8.onnx"))
+    (found,) = (i for i in model.graph.initializer if i.name == tensor)
+    found.CopyFrom(numpy_helper.from_array(value, tensor))
+    onnx.save(model, tmp_path / "other.onnx")
+
+    with pytest.raises(WeightsError, match=said):
+        from_onnx(tmp_path / "other.onnx", DetectorNet(), batch())
 
 
 def test_another_network_is_refused(tmp_path: Path) -> None:
