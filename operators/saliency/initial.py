@@ -21,25 +21,17 @@ from pipeline.errors import WeightsError
 
 PREFIX = "net."
 MOVING = "moving."
-HEADS = (PREFIX + "ball.", PREFIX + MOVING)  # those for the ball
 QUANTISED = "_quantized"  # what ONNX Runtime calls a tensor in whole numbers
 
 
 @torch.no_grad()
-def from_onnx(path: Path, net: DetectorNet, batch: Batch, heads: Path | None = None) -> None:
+def from_onnx(path: Path, net: DetectorNet, batch: Batch) -> None:
     """Load an ONNX file of `export` into a network; raises `WeightsError` for any other file.
 
     One in eight bits gives its weights as they were rounded. Of a file without a head for a moving
-    ball that head begins as the one for a still ball. `heads`: a file whose heads for the ball are
-    taken in place of those of `path`.
+    ball that head begins as the one for a still ball.
     """
     found = _initialisers(path)
-    if heads is not None:
-        own = _initialisers(heads)
-        if not any(name.startswith(HEADS) for name in own):
-            raise WeightsError(f"{heads}: expected this detector's heads for the ball, got none")
-        found = {name: tensor for name, tensor in found.items() if not name.startswith(HEADS)}
-        found |= {name: tensor for name, tensor in own.items() if name.startswith(HEADS)}
     new = () if any(name.startswith(PREFIX + MOVING) for name in found) else (MOVING,)
     blocks = {name: block for name, block in _normed(net) if not name.startswith(new)}
     for name, wanted in net.named_parameters():

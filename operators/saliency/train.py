@@ -46,9 +46,6 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None, bool
         help="checkpoint, of a training with the same --difference, or .onnx to begin with",
     )  # fmt: skip
     parser.add_argument(
-        "--heads", type=Path, help=".onnx whose heads for the ball to begin with, beside another"
-    )
-    parser.add_argument(
         "--difference", action="store_true",
         help="add a head for a moving ball, which reads what changed since the frame before",
     )  # fmt: skip

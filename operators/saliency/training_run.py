@@ -72,7 +72,7 @@ class Run(checkpoint.Progress):
             widths, size = len(self.settings.widths_px), self.settings.batch
             numbers = (k for k in count() if k // size % widths == 0)
             batch = collate([source[k] for k in islice(numbers, CALIBRATION)])
-            from_onnx(init, self.mean, batch.to(self.device), self.settings.heads)
+            from_onnx(init, self.mean, batch.to(self.device))
         else:
             checkpoint.take(init, {"mean": self.mean})
         self.net.load_state_dict(self.mean.state_dict())

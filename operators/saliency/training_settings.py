@@ -43,7 +43,6 @@ class TrainSettings:
     raw_share: float = 0.0  # share of the pictures that are seen through a raw sensor
     roi_share: float = 0.0  # share of the stills' pictures that show what a ROI does
     init: Path | None = None  # checkpoint or .onnx to begin with instead of random weights
-    heads: Path | None = None  # .onnx whose heads for the ball to begin with, beside an .onnx
     device: str = "auto"  # where the network is; scenes are drawn on processors
 
     def __post_init__(self) -> None:
@@ -73,11 +72,6 @@ class TrainSettings:
             raise SettingsError(f"only: expected one of {', '.join(HEADS)}, got {self.only[:40]!r}")
         if self.only in ("moving", "balls") and not self.difference:
             raise SettingsError("only: expected a difference for the moving head, got none")
-        for name, file in (("init", self.init), ("heads", self.heads)):
-            if self.heads and (file is None or file.suffix != ".onnx"):
-                raise SettingsError(
-                    f"heads: expected an .onnx file as {name}, got {file or 'none'}"
-                )
         if self.only and not self.init:
             raise SettingsError("only: expected weights to begin with (init) as well, got none")
 

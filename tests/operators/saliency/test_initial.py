@@ -106,26 +106,6 @@ def test_weights_in_eight_bits_are_taken_back_nearly_as_they_were() -> None:
         assert torch.corrcoef(torch.stack([one.flatten(), other.flatten()]))[0, 1] > 0.97
 
 
-def test_heads_for_the_ball_may_be_of_another_file(exported: Path, tmp_path: Path) -> None:
-    other = exported_detector(tmp_path, difference=True, seed=7)
-    nothing = constant_network(tmp_path / "n.onnx", np.zeros((1, 7, 10), np.float32))
-    one, both, own = (DetectorNet(difference=True) for _ in range(3))
-
-    from_onnx(exported, one, batch())
-    from_onnx(exported, both, batch(), other)
-    from_onnx(other, own, batch())
-
-    for name, wanted in both.state_dict().items():
-        if name.startswith(("ball.", "moving.")) and name.endswith(("heat.weight", "place.weight")):
-            assert torch.equal(wanted, own.state_dict()[name])
-            assert not torch.equal(wanted, one.state_dict()[name])
-    with torch.no_grad():
-        found, people = both.eval()(batch().inputs(4)), one.eval()(batch().inputs(4))
-    assert torch.allclose(found.scores, people.scores, atol=1e-5)
-    with pytest.raises(WeightsError, match="expected this detector's heads for the ball, got none"):
-        from_onnx(exported, both, batch(), nothing)
-
-
 @pytest.mark.parametrize(
     ("tensor", "value", "said"),
     [

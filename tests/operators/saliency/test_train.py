@@ -257,10 +257,6 @@ def test_a_head_is_not_trained_alone_from_nothing_and_no_other_part_is(tmp_path:
         replace(given, only="moving", init=SHIPPED)
     with pytest.raises(SettingsError, match=r"^only: expected a difference for the moving head"):
         replace(given, only="balls", init=SHIPPED)
-    with pytest.raises(SettingsError, match=r"^heads: expected an \.onnx file as init, got none"):
-        replace(given, heads=SHIPPED)
-    with pytest.raises(SettingsError, match=r"^heads: expected an \.onnx file as heads, got a\.pt"):
-        replace(given, init=SHIPPED, heads=Path("a.pt"))
     with pytest.raises(SettingsError, match=r"^only: expected one of ball, moving, balls, got"):
         replace(given, only="neck", init=SHIPPED)
 
