@@ -38,11 +38,13 @@ if TYPE_CHECKING:
 SHIPPED = Path(__file__).with_name("detector.onnx")
 EIGHT_BITS = Path(__file__).with_name("detector_int8.onnx")  # the same in half the time
 # in eight bits, trained for 736x416 and 480x288: enlarged contexts and regions of interest; crowds
-# was also shown people before one another, corners a ball at the poles of corner flags as well
+# was also shown people before one another; moving is crowds, trained on for a ball at the poles of
+# corner flags, and with a second head for one that moves
 LARGER = Path(__file__).with_name("detector_larger.onnx")
 CROWDS = Path(__file__).with_name("detector_crowds.onnx")
+MOVING = Path(__file__).with_name("detector_moving.onnx")
+# eight bits with another head for the ball, which has seen it at the poles of corner flags
 CORNERS = Path(__file__).with_name("detector_corners.onnx")
-MOVING = Path(__file__).with_name("detector_moving.onnx")  # corners, a head for a moving ball added
 ROI = Path(__file__).with_name("detector_roi.onnx")  # in eight bits, for full resolution in 384x224
 OBJECTS = Path(__file__).parent / "objects" / "objects.onnx"  # what a robot handles
 TEXT = Path(__file__).with_name("text.onnx")  # texts in streets, as turned boxes

@@ -190,10 +190,6 @@ class DetectorNet(nn.Module):
         self.ball = BallHead()
         self.moving = BallHead(difference=True) if difference else None
 
-    def leave_out_moving(self) -> None:
-        """Leave out the head for a moving ball; the rest gives what it gave."""
-        self.channels, self.moving = 3, None
-
     def forward(self, pictures: Tensor) -> Raw:
         """Pictures (B, 3, H, W) RGB 0..1, or (B, 4, H, W) with the difference, -1..1."""
         x4, x8, x16, x32 = self.backbone(pictures[:, :3])

@@ -30,11 +30,11 @@ class SaliencySettings(NetworkSettings):
     """What a graph may set."""
 
     # an ONNX file, or a name that `fovea weights` knows; empty: the shipped one; eight_bits: the
-    # shipped one quantised; larger: one trained for 736x416 and 480x288, quantised; crowds: the
-    # same for people before one another; corners: crowds that knows a ball at corner flags, too;
-    # moving: corners with a head for a ball that moves; roi: one for what a ROI shows, balls in
-    # hands among it, quantised; objects: that of what a robot handles; text: that of texts in
-    # streets
+    # shipped one quantised; corners: eight_bits with a head for the ball that knows corner flags;
+    # larger: one trained for 736x416 and 480x288, quantised; crowds: the same for people before one
+    # another; moving: crowds trained on for a ball at corner flags, and one that moves; roi: one
+    # for what a ROI shows, balls in hands among it, quantised; objects: that of what a robot
+    # handles; text: that of texts in streets
     weights: str = ""
     format: Format = "auto"  # of the network's output
     input_px: tuple[int, int] = (0, 0)  # width, height where the network leaves them open

@@ -14,16 +14,11 @@ from operators.saliency.training_settings import HEADS, TrainSettings
 from operators.training.command_line import GOES_ON, add_numbers, in_a_sentence
 from operators.training.ranges import DEVICES
 from operators.training.splits import HELD_OUT
-from pipeline.errors import SettingsError
 from pipeline.extras import need
 
 
-def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None, bool]:
-    """Parse the command line.
-
-    Returns the settings, the folder to export to instead of training, and whether the head for a
-    moving ball is left out there.
-    """
+def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:
+    """Parse the command line: the settings, and the file to export to instead of training."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="rendered scenes")
     parser.add_argument("--stills", type=Path, nargs="+", default=(), help="labelled, to train on")
@@ -37,10 +32,6 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None, bool
         type=Path,
         help="write detector.onnx here, with --width-px and --difference as trained, train nothing",
     )
-    parser.add_argument(
-        "--without-moving", action="store_true",
-        help="export without the head for a moving ball: that file reads no difference",
-    )  # fmt: skip
     parser.add_argument(
         "--init", type=Path,
         help="checkpoint, of a training with the same --difference, or .onnx to begin with",
@@ -59,19 +50,15 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None, bool
     parser.add_argument("--device", default="auto", help=DEVICES)
     add_numbers(parser, TrainSettings)
     given = vars(parser.parse_args(words))
-    target, without_moving = given.pop("export"), given.pop("without_moving")
+    target = given.pop("export")
     lists = {name: tuple(given[name]) for name in ("data", "stills", "leave_out")}
-    settings = TrainSettings(**(given | lists))
-    for name, other in (("export", target), ("difference", settings.difference)):
-        if without_moving and not other:
-            raise SettingsError(f"without_moving: expected --{name} as well, got none")
-    return settings, target, without_moving
+    return TrainSettings(**(given | lists)), target
 
 
 @in_a_sentence(GOES_ON)
 def main(words: Sequence[str] | None = None) -> None:
     """Command line."""
-    settings, target, without_moving = asked(words)
+    settings, target = asked(words)
     need("torch", "train")
     from operators.saliency.model import DetectorNet
     from operators.saliency.training_run import export, train, trained_on
@@ -80,8 +67,6 @@ def main(words: Sequence[str] | None = None) -> None:
     if target is not None:
         net = DetectorNet(difference=settings.difference)
         checkpoint.take(checkpoint.path_in(settings.out), {"mean": net})
-        if without_moving:
-            net.leave_out_moving()
         target.mkdir(parents=True, exist_ok=True)
         export(net, target / "detector.onnx", trained_on(settings), settings.width_px)
         return

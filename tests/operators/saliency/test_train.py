@@ -15,7 +15,6 @@ from operators.saliency import training_run as training
 from operators.saliency.data import Batch, Rendered, rendered_in
 from operators.saliency.detector import SHIPPED, Detector
 from operators.saliency.example import INPUT_PX, NAMES
-from operators.saliency.model import DetectorNet
 from operators.saliency.saliency import SaliencySettings
 from operators.saliency.train import TrainSettings, asked, main
 from operators.saliency.training_run import Run, advance, drawn, train
@@ -93,7 +92,7 @@ def test_a_training_on_a_gpu_resumes_without_one(tmp_path: Path) -> None:
 
 
 def test_options_of_the_command_line_become_settings() -> None:
-    settings, target, _ = asked(["--data", "a", "b", "--out", "c"])
+    settings, target = asked(["--data", "a", "b", "--out", "c"])
 
     assert settings == TrainSettings(data=(Path("a"), Path("b")), out=Path("c"))
     assert target is None
@@ -216,37 +215,6 @@ def test_a_network_that_reads_the_difference_says_so_in_its_file(tmp_path: Path)
     changed[100:110, 100:110] = 200
     detector.look(picture, changed)
     assert detector.channels == 64
-
-
-def test_the_head_for_a_moving_ball_can_be_left_out_of_the_file(tmp_path: Path) -> None:
-    Run(replace(settings_in(tmp_path), difference=True)).save()
-    words = ["--data", str(tmp_path), "--out", str(tmp_path), "--difference"]
-
-    main([*words, "--export", str(tmp_path), "--without-moving"])
-
-    found = Detector(SaliencySettings(weights=str(tmp_path / "detector.onnx")))
-    assert not found.reads_difference
-
-
-def test_without_the_head_for_a_moving_ball_the_rest_gives_what_it_gave() -> None:
-    net = DetectorNet(difference=True).eval()
-    with torch.no_grad():
-        before = net(batch().inputs(4))
-        net.leave_out_moving()
-        after = net(batch().inputs(net.channels))
-
-    assert after.moving is None
-    for name in ("scores", "boxes", "heat", "ball", "features"):
-        assert torch.equal(getattr(before, name), getattr(after, name)), name
-
-
-@pytest.mark.parametrize("words", [["--export", "x"], ["--difference"]])
-def test_a_head_is_left_out_only_of_a_file_of_a_network_that_has_it(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit):
-        main(["--data", str(tmp_path), "--out", str(tmp_path), "--without-moving", *words])
-    assert "without_moving: expected" in capsys.readouterr().err
 
 
 def test_a_head_is_not_trained_alone_from_nothing_and_no_other_part_is(tmp_path: Path) -> None:
