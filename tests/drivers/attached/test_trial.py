@@ -209,7 +209,8 @@ def test_a_run_in_real_time_is_measured() -> None:
     run = run_in_real_time(lambda: SimulatedSensor(settings()), 0.8)
 
     assert run.summary["rate"]["asked_hz"] == 100.0
-    assert effect(run)["least"] == effect(run)["told"] == 1
+    # a busy machine may be a frame late each time; a plan never works earlier than it is told
+    assert effect(run)["told"] == 1 <= effect(run)["least"]
     figures = accounts(run)
     assert figures["delivered"] == len(run.seqs) > 2
     assert figures["dropped"] <= figures["accounted"]
