@@ -10,10 +10,10 @@ from tests.conftest import ROOT
 
 PAGES = sorted(
     path
-    for pattern in ("*.md", "*/*.md", "*/*/*.md")
+    for pattern in ("*.md", "*/*.md", "*/*/*.md", "*/*/*/*.md")
     for path in ROOT.glob(pattern)
     if not path.relative_to(ROOT).parts[0].startswith(".")
-    and path.relative_to(ROOT).parts[0] not in ("runs", "weights")
+    and path.relative_to(ROOT).parts[0] not in ("runs", "weights", "build")  # not in git
 )
 READMES = [path for path in PAGES if path.name == "README.md"]
 
