@@ -3,7 +3,8 @@
 A detector knows the kits that it was trained on. A referee in another one is a player to it, but
 not beside the other people of the picture: two teams wear the same, a referee's shirt is that of
 few or of nobody, above dark shorts. Both are weighed together: what the detector says, and how
-alike the kits are. `python -m bench.kits … --fit` fitted the weights; saliency/CARD.md has figures.
+alike the kits are. `python -m bench.kits … --fit` fitted the weights; figures are in
+saliency/cards/referees.md.
 """
 
 from collections.abc import Iterable, Mapping

@@ -22,7 +22,7 @@ from pipeline.errors import FoveaError
 # development match, 29 of them balls, with the detector `larger`. On the matches left out a ball is
 # rated above another candidate in .975 of the pairs, by the context alone in .935, by the score in
 # the ROI alone in .965, by the encoder in .948 (python -m bench.second_look). Fitted anew to `roi`
-# the gains are no better there and were worse in the loop: operators/saliency/CARD.md.
+# the gains are no better there and were worse in the loop: operators/saliency/cards/roi.md.
 OF_SCORE, OF_ENCODER = 1.46, 0.58
 LEAST = 0.005  # shares are clipped to LEAST .. 1 - LEAST
 UNKNOWN = 1.0  # what an encoder says that verifies nothing
