@@ -36,7 +36,7 @@ NUMBER = re.compile(r"\d+(\.\d+)?")
 class Case:
     """A kind of failure."""
 
-    name: str  # as in the table of drivers/README.md
+    name: str  # as in the table of drivers/usb/README.md
     kinds: tuple[str, ...] = ()  # of drivers.virtual_board.faults, two exposures apart
     stream: str = "roi"
     seconds: tuple[float, float] = (0.0, 0.0)  # how long it lasts, drawn evenly
