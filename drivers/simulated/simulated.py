@@ -1,7 +1,8 @@
 """The simulated dual-stream sensor: Eq. 1 over any full-resolution source.
 
-The full frame never leaves the sensor. All strategies that the paper compares are settings of this
-class, so that they are measured in the same way at the same pixel budget.
+The full frame leaves the sensor only with `full`, for viewers. All strategies that the paper
+compares are settings of this class, so that they are measured in the same way at the same pixel
+budget.
 """
 
 import math
