@@ -3,8 +3,10 @@
 A method (correlation, ViTTrack, MixFormerV2) finds an object again from frame to frame, but does
 not notice when it drifts to another one. The scanpath reveals this: for every frame it contains the
 policy's object and its predicted box. Both are compared in every frame, and only disagreement in
-several consecutive frames counts, so that a single wrong scanpath has no effect. A scanpath that
-shows a place, and no object, counts as well: what the policy has lost is dropped.
+several consecutive frames counts, so that a single wrong scanpath has no effect. As long as the two
+agree, the method searches where the policy foresees the object: a ball in flight leaves within a
+frame what is searched around its last place. A scanpath that shows a place, and no object, counts
+as well: what the policy has lost is dropped.
 """
 
 from dataclasses import dataclass, field
@@ -135,7 +137,7 @@ class Following:
         """Process one frame; return the method's score, 1 at a start, 0 without an object."""
         score = 0.0
         if len(self._box) and self._begun:
-            score = self._follow(streams)
+            score = self._follow(streams, self._foreseen(shown))
             self._compare(streams, shown)
             self._let_go(shown)
         if not len(self._box) and shown and _startable(shown, streams.roi):
@@ -145,8 +147,17 @@ class Following:
             self._begun, score = True, 1.0
         return score if len(self._box) else 0.0
 
-    def _follow(self, streams: Streams) -> float:
-        box, score = self._method.follow(streams, self._box[0])
+    def _foreseen(self, shown: Proposal | None) -> Box:
+        """Return the object's box where the policy foresees it, if the two agreed until now."""
+        box: Box = self._box[0]
+        if shown is None or shown.object_id == NOBODY:
+            return box
+        if shown.object_id != self._id or self._apart:
+            return box
+        return np.asarray(box + np.tile(centres(shown.box) - centres(box), 2), np.float32)
+
+    def _follow(self, streams: Streams, around: Box) -> float:
+        box, score = self._method.follow(streams, around)
         found = score >= self.rules.lost_score
         self._missed = 0 if found else self._missed + 1
         if found:

@@ -14,12 +14,13 @@ AWAY = np.array([1500, 900], np.float32)  # far from both objects
 
 
 class World:
-    """The object's centre moves 7 px right and 3 px down per frame, from (400, 300).
+    """The object's centre moves by `step` px right and down per frame, from (400, 300).
 
     The other object stays at (1220, 180).
     """
 
-    def __init__(self, *, seed: int) -> None:
+    def __init__(self, *, seed: int, step: tuple[int, int] = (7, 3)) -> None:
+        self.step = step
         rng = np.random.default_rng(seed)
         rough = rng.integers(60, 120, (68, 120, 3), np.uint8)
         self.field = cv2.resize(rough, (1920, 1080), interpolation=cv2.INTER_CUBIC)
@@ -33,7 +34,7 @@ class World:
         )
 
     def box(self, seq: int) -> NDArray[np.float32]:
-        left, top = 380 + 7 * seq, 280 + 3 * seq
+        left, top = 380 + self.step[0] * seq, 280 + self.step[1] * seq
         return np.array([left, top, left + SIDE_PX, top + SIDE_PX], np.float32)
 
     def other_box(self) -> NDArray[np.float32]:

@@ -16,6 +16,7 @@ from pipeline.testing import drive, header
 from tests.operators.tracker.made_up import AWAY, World
 
 WORLD = World(seed=11)
+FAST = World(seed=11, step=(90, 20))  # farther in a frame than a search around its last place
 OTHER = WORLD.other_box()
 SWITCH, DRIFT, HIDDEN, PLACE = 3, 6, 4, 12
 RULES = {
@@ -31,13 +32,14 @@ def play(
     *,
     looks: Callable[[int], NDArray[np.float32] | None] = lambda k: None,
     hidden: Callable[[int], bool] = lambda k: False,
+    world: World = WORLD,
 ) -> list[Percept]:
     """Play frames, a scanpath before each; the ROI is on the object unless `looks` has a place."""
     messages: list[dict[str, object]] = []
     for k in range(frames):
         if (shown := shows(k)) is not None:
-            messages.append(dict(WORLD.scanpath(k - 1, object_id=shown[0], box=shown[1])))
-        messages.append(dict(WORLD.frames(k, at=looks(k), hidden=hidden(k))))
+            messages.append(dict(world.scanpath(k - 1, object_id=shown[0], box=shown[1])))
+        messages.append(dict(world.frames(k, at=looks(k), hidden=hidden(k))))
     answers = drive(CorrelationTracker, messages, RULES)  # type: ignore[arg-type]
     return [answer for answer in answers if answer is not None]
 
@@ -52,9 +54,9 @@ def begun(settings: CorrelationSettings) -> CorrelationTracker:
     return subject
 
 
-def on_object(percept: Percept) -> bool:
+def on_object(percept: Percept, world: World = WORLD) -> bool:
     return (
-        bool(len(percept.boxes)) and iou(percept.boxes, WORLD.box(percept.header.seq)[None]) > 0.5
+        bool(len(percept.boxes)) and iou(percept.boxes, world.box(percept.header.seq)[None]) > 0.5
     )
 
 
@@ -96,6 +98,27 @@ def test_a_tracker_that_drifted_beside_the_object_is_brought_back() -> None:
 
     assert all(on_other(p) for p in percepts[:DRIFT])
     assert all(on_object(p) for p in percepts[DRIFT:])
+
+
+def test_an_object_too_fast_for_a_search_is_found_where_the_policy_foresees_it() -> None:
+    with_plans = play(lambda k: (3, None), 8, world=FAST)
+    on_its_own = play(lambda k: (3, None) if k == 0 else None, 8, world=FAST)
+
+    assert all(on_object(p, FAST) for p in with_plans)
+    assert not any(on_object(p, FAST) for p in on_its_own[4:])  # the plan speaks of four frames
+
+
+def test_one_wrong_place_of_the_object_changes_nothing() -> None:
+    percepts = play(lambda k: (3, OTHER) if k == 6 else (3, None), 12)
+
+    assert all(on_object(p) for p in percepts)
+    assert sum(p.scores[0] == 1 for p in percepts) == 1
+
+
+def test_a_tracker_beside_the_foreseen_object_searches_where_its_own_was() -> None:
+    percepts = play(lambda k: (3, OTHER) if 4 <= k < 4 + DRIFT - 1 else (3, None), 14)
+
+    assert all(on_object(p) for p in percepts[5:])
 
 
 def test_an_object_out_of_sight_is_lost_and_not_guessed_and_found_again_when_it_is_shown() -> None:
