@@ -3,10 +3,11 @@
 A method (correlation, ViTTrack, MixFormerV2) finds an object again from frame to frame, but does
 not notice when it drifts to another one. The scanpath reveals this: for every frame it contains the
 policy's object and its predicted box. Both are compared in every frame, and only disagreement in
-several consecutive frames counts, so that a single wrong scanpath has no effect. As long as the two
-agree, the method searches where the policy foresees the object: a ball in flight leaves within a
-frame what is searched around its last place. A scanpath that shows a place, and no object, counts
-as well: what the policy has lost is dropped.
+several consecutive frames counts, so that a single wrong scanpath has no effect. A scanpath that
+shows a place, and no object, counts as well: what the policy has lost is dropped.
+
+A ball in flight leaves within a frame what is searched around its last place. As long as the two
+agree, a fast object is therefore searched where the policy foresees it.
 """
 
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ from pipeline.boxes import centres, covered, sizes
 NOBODY = -1  # id of an object without a track
 NEAR = 0.75  # maximum distance of centres of one object, in sizes of the larger box
 ALIKE = 2.0  # if their sizes differ by less than this factor
+FAST = 0.5  # sizes in a frame, from which an object is searched where it is foreseen
 SHOWN = 0.5  # share of a box inside the ROI from which the ROI shows it
 REASONS = ("missed", "drift", "switch", "hidden", "place")  # to drop an object
 FAR_PX = 2.0**20  # beyond any field: no box, and nothing to calculate with
@@ -84,6 +86,7 @@ class Proposal:
 
     object_id: int
     box: Box
+    motion: float = 0.0  # foreseen until the next frame, in sizes; 0 at the end of a plan
 
 
 class Following:
@@ -148,9 +151,12 @@ class Following:
         return score if len(self._box) else 0.0
 
     def _foreseen(self, shown: Proposal | None) -> Box:
-        """Return the object's box where the policy foresees it, if the two agreed until now."""
+        """Return the box to search around: a fast object's where the policy foresees it.
+
+        Its own where the two disagreed in the frame before: then one of them is on something else.
+        """
         box: Box = self._box[0]
-        if shown is None or shown.object_id == NOBODY:
+        if shown is None or shown.object_id == NOBODY or shown.motion < FAST:
             return box
         if shown.object_id != self._id or self._apart:
             return box
@@ -202,10 +208,14 @@ def proposed(scanpath: Scanpath | None, seq: int) -> Proposal | None:
     row = seq - scanpath.first_seq if scanpath else -1
     if scanpath is None or not 0 <= row < len(scanpath.choice):
         return None
-    box = scanpath.boxes[row]
+    box, *later = scanpath.boxes[row : row + 2]
     if not (np.abs(box) < FAR_PX).all() or (box[2:] <= box[:2]).any():
         return None
-    return Proposal(object_id=max(int(scanpath.choice[row]), NOBODY), box=box)
+    object_id, motion = max(int(scanpath.choice[row]), NOBODY), 0.0
+    if later and (np.abs(later[0]) < FAR_PX).all():
+        step_px = np.linalg.norm(centres(later[0]) - centres(box))
+        motion = float(step_px / sizes(box[None])[0])
+    return Proposal(object_id=object_id, box=box, motion=motion)
 
 
 def same(box: Box, other: Box) -> bool:

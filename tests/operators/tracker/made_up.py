@@ -72,17 +72,18 @@ class World:
     def scanpath(
         self, seq: int, *, object_id: int, box: NDArray[np.float32] | None = None
     ) -> dict[str, Scanpath]:
-        """Return a plan for the four frames after `seq`: the object's boxes, or always `box`."""
+        """Return a plan for four frames after `seq`: the object's boxes, or `box`, one or four."""
         choice = np.full(4, object_id, np.int32)
         ids = np.array([max(object_id, 0)], np.int32)
-        boxes = [self.box(seq + 1 + k) if box is None else box for k in range(4)]
+        own = np.stack([self.box(seq + 1 + k) for k in range(4)])
+        boxes = own if box is None else np.broadcast_to(box, (4, 4))
         return {
             "scanpath": Scanpath(
                 header=header(seq),
                 ids=ids,
                 probability=(choice[:, None] == ids).astype(np.float32),
                 choice=choice,
-                boxes=np.stack(boxes),
+                boxes=boxes.copy(),
                 first_seq=seq + 1,
             )
         }
