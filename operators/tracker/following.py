@@ -140,7 +140,7 @@ class Following:
         """Process one frame; return the method's score, 1 at a start, 0 without an object."""
         score = 0.0
         if len(self._box) and self._begun:
-            score = self._follow(streams, self._foreseen(shown))
+            score = self._follow(streams, self._search_box(shown))
             self._compare(streams, shown)
             self._let_go(shown)
         if not len(self._box) and shown and _startable(shown, streams.roi):
@@ -150,15 +150,15 @@ class Following:
             self._begun, score = True, 1.0
         return score if len(self._box) else 0.0
 
-    def _foreseen(self, shown: Proposal | None) -> Box:
+    def _search_box(self, shown: Proposal | None) -> Box:
         """Return the box to search around: a fast object's where the policy foresees it.
 
         Its own where the two disagreed in the frame before: then one of them is on something else.
         """
         box: Box = self._box[0]
-        if shown is None or shown.object_id == NOBODY or shown.motion < FAST:
+        if shown is None or shown.motion < FAST or self._apart:
             return box
-        if shown.object_id != self._id or self._apart:
+        if shown.object_id != self._id or self._id == NOBODY:
             return box
         return np.asarray(box + np.tile(centres(shown.box) - centres(box), 2), np.float32)
 
