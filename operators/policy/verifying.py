@@ -8,7 +8,8 @@ lost may have been kicked: what flies away from where it was is followed (`fligh
 is waited for and looked for among people, not among faint candidates again.
 
 That is for a target asked for by its class. One asked for by id or box needs no search: the network
-follows it, as in `LearnedPolicy`.
+follows it, as in `LearnedPolicy`, and a person, once bound to a track, is followed as by
+`PursuitPolicy`, which changes to another person less often.
 """
 
 from collections.abc import Iterable, Mapping
@@ -28,11 +29,14 @@ from operators.policy.pursuit import (
     MARGIN,
     SURE,
     Pursuit,
+    PursuitPolicySettings,
     PursuitState,
     SearchSettings,
     noted,
+    pursue,
     unlocked,
 )
+from operators.policy.target import TargetState
 from operators.policy.verdicts import LOOKS
 from pipeline import Header, RoiFeatures, Tracks
 from pipeline.boxes import centres
@@ -75,12 +79,14 @@ class VerifyingState(PursuitState):
     search: SearchState = field(default_factory=SearchState)
     flight: Flight = field(default_factory=Flight)
     learned: PolicyState = field(default_factory=PolicyState)  # of a target asked for by id or box
+    is_person: bool = False  # whether that target was bound to a person
 
 
 class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
     """Always proposes windows, of candidates and of places as well as of the target.
 
-    Of a target asked for by id or box it proposes what `LearnedPolicy` does.
+    Of a target asked for by id or box it proposes what `LearnedPolicy` does, of a person what
+    `PursuitPolicy` does.
     """
 
     begins = VerifyingState
@@ -140,10 +146,30 @@ class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
 
     def plan(self, tracks: Tracks) -> GazePlan:
         """Return where to look in the frames after this one, and keep the new state."""
-        if self._state.spec.one:
-            return self._learned.plan(tracks)
-        plan, self._state = seek(tracks, self._state, self.settings)
+        s = self.settings
+        if not self._state.spec.one:
+            plan, self._state = seek(tracks, self._state, s)
+        elif self._state.is_person:
+            rules = PursuitPolicySettings(horizon=s.horizon, patience=s.patience)
+            plan, self._state = pursue(tracks, self._state, rules)
+        else:
+            plan = self._learned.plan(tracks)
+            self._state = bound(self._state, self._learned.state().target)
         return plan
+
+
+def bound(now: VerifyingState, target: TargetState) -> VerifyingState:
+    """Return the state once the network's target is bound: a person is pursued from then on."""
+    if target.bound_id < 0 or target.label not in now.spec.carriers:
+        return now
+    return replace(
+        now,
+        is_person=True,
+        locked=target.bound_id,
+        target=target.label,
+        seen_seq=target.seen_seq,
+        box=target.box,
+    )
 
 
 def seek(

@@ -1,4 +1,4 @@
-"""Verifying: a target asked for by id or box is followed by the network, as by `LearnedPolicy`."""
+"""Verifying: one asked for by id or box is followed as by `LearnedPolicy`, or `PursuitPolicy`."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ import pytest
 from operators.policy import (
     LearnedPolicy,
     LearnedPolicySettings,
+    PursuitPolicy,
     VerifyingPolicy,
     VerifyingPolicySettings,
 )
@@ -13,7 +14,7 @@ from operators.policy.conditioning import CHANNELS
 from pipeline import RoiFeatures, Scanpath, SettingsError, Tracks, codec
 from pipeline.node.operator_state import restore
 from pipeline.settings import build
-from pipeline.testing import header
+from pipeline.testing import drive, header
 from tests.operators.policy.made_up import tracks
 
 ASKED = {"target": "", "prompt_box": (290.0, 290.0, 310.0, 310.0)}
@@ -60,6 +61,39 @@ def test_it_is_followed_as_by_the_learned_policy_also_after_a_swap() -> None:
         np.testing.assert_array_equal(mine.choice, other.choice)
         np.testing.assert_array_equal(mine.boxes, other.boxes)
         np.testing.assert_array_equal(mine.probability, other.probability)
+
+
+def crossing(seq: int) -> Tracks:
+    """Return a ball and two people; the first is lost from frame 6 to 9, then has another id."""
+    first = [(20 if seq < 6 else 30, 1, 900.0 + 4 * seq, 500.0, 4.0)] if not 6 <= seq < 10 else []
+    return tracks(seq, (1, 0, 300, 300, 0), *first, (21, 1, 980.0, 500.0, 0.0), channels=CHANNELS)
+
+
+@pytest.mark.parametrize("asked", [{"prompt_box": (880.0, 480.0, 920.0, 520.0)}, {"target_id": 20}])
+def test_a_person_is_followed_as_by_pursuit_also_after_a_swap(asked: dict[str, object]) -> None:
+    frames = [crossing(seq) for seq in range(20)]
+    first, second = verifying(target="", **asked), verifying(target="", **asked)
+
+    wanted = drive(PursuitPolicy, frames, asked)
+    got = [first.on_tracks(frame) for frame in frames[:8]]
+    assert restore(second, codec.dumps(first.state())) == "carried over"
+    got += [second.on_tracks(frame) for frame in frames[8:]]
+
+    assert [int(path.choice[0]) for path in got] == [int(path.choice[0]) for path in wanted]
+    assert [int(path.choice[0]) for path in got] == [20] * 6 + [-1] * 4 + [30] * 10
+    for mine, other in zip(got[1:], wanted[1:], strict=True):
+        np.testing.assert_array_equal(mine.boxes, other.boxes)
+
+
+def test_after_a_person_a_ball_is_followed_by_the_network_again() -> None:
+    policy = verifying(target="", target_id=20)
+    played(policy, range(3))
+    assert policy.state().is_person
+
+    policy.on_settings(build(VerifyingPolicySettings, ASKED, "policy"))
+
+    assert played(policy, range(3, 6))[-1].probability.max() < 1
+    assert not policy.state().is_person
 
 
 def test_a_box_can_be_given_to_a_policy_that_searches_and_a_class_again() -> None:
