@@ -160,6 +160,30 @@ def test_a_message_that_was_promised_and_lost_is_a_failure() -> None:
     assert finding.sentence.endswith("; restarted: policy 2 times")
 
 
+@pytest.mark.parametrize(("skipped", "held"), [(24, True), (20, False)])
+def test_a_picture_whose_frame_the_detector_skipped_is_no_broken_promise(
+    skipped: int, held: bool
+) -> None:
+    ledger = ran()
+    picture, detections = (
+        next(e for e in PLAN.edges if e.end == f"kits.{name}") for name in ("frame", "detections")
+    )
+    ledger.edges[picture.index].unmatched = 24
+    ledger.edges[picture.index].delivered -= 24
+    ledger.edges[detections.index].sent -= skipped
+    ledger.edges[detections.index].delivered -= skipped
+
+    finding = found(composed(ledger), "losses")
+
+    assert picture.keep == "every"
+    assert finding.held is held
+    assert finding.sentence.endswith(
+        "24 of them of frames that their node's other inputs had missed before"
+        if held
+        else "4 of them on edges that keep every message"
+    )
+
+
 def test_a_run_without_losses_is_reported_too() -> None:
     assert found(composed(), "losses").sentence == f"none of {300 * len(PLAN.edges)} messages"
 
