@@ -62,7 +62,7 @@ class TargetSettings:
     target: str = ""  # class name (ball, referee, player …); empty: any
     target_id: int = -1  # track id
     prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
-    carriers: tuple[str, ...] = PEOPLE  # classes that may carry a target that is out of sight
+    carriers: tuple[str, ...] = PEOPLE  # classes of people, who may carry what is out of sight
 
     def __post_init__(self) -> None:
         check_box("prompt_box", self.prompt_box)

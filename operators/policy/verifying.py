@@ -8,8 +8,8 @@ lost may have been kicked: what flies away from where it was is followed (`fligh
 is waited for and looked for among people, not among faint candidates again.
 
 That is for a target asked for by its class. One asked for by id or box needs no search: the network
-follows it, as in `LearnedPolicy`, and a person, once bound to a track, is followed as by
-`PursuitPolicy`, which changes to another person less often.
+binds it to a track and follows it, as in `LearnedPolicy`. A person is followed by the rules of
+`PursuitPolicy` from the third frame on in which that track is one.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.candidates import context_odds, faint_odds, probability
-from operators.policy.decision import PolicyState
+from operators.policy.decision import PolicyState, fault
 from operators.policy.flight import Flight, next_flight
 from operators.policy.former import SEVERAL_LOOKS
 from operators.policy.gaze_plan import PLACE, GazePlan, follow, future, of_class, row_of, stay
@@ -45,12 +45,17 @@ EDGE_PX = 30.0  # as edge_px of operators.verify: nearer to a window's edge noth
 OWN_GAIN = 0.2  # of the latest frame in the odds of the present target
 LATE = 6  # frames more than `LOOKS` for which a candidate is waited for
 PLAIN = 3  # frames in which the context shows a candidate that needs no looks
+PERSON = 3  # frames as a person after which a target asked for by id or box is one
 GIVEN_UP = 16  # latest candidates that could not be judged, which are passed over
 
 
 @dataclass(frozen=True, kw_only=True)
 class VerifyingPolicySettings(SearchSettings, LearnedPolicySettings):
-    """What a graph may set. Those of `LearnedPolicy` count for a target asked for by id or box."""
+    """What a graph may set.
+
+    Those of `LearnedPolicy` count for a target asked for by id or box, of a person for the first
+    frames. A class of `carriers` is one of people.
+    """
 
     FORMER: ClassVar[Mapping[str, str]] = {
         **LearnedPolicySettings.FORMER, **SearchSettings.FORMER, **SEVERAL_LOOKS
@@ -79,14 +84,19 @@ class VerifyingState(PursuitState):
     search: SearchState = field(default_factory=SearchState)
     flight: Flight = field(default_factory=Flight)
     learned: PolicyState = field(default_factory=PolicyState)  # of a target asked for by id or box
-    is_person: bool = False  # whether that target was bound to a person
+    person_frames: int = 0  # in succession, in which that target's track was a person
+
+    @property
+    def is_person(self) -> bool:
+        """Whether one is asked for who is followed by rules; so it stays for this target."""
+        return self.person_frames >= PERSON
 
 
 class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
     """Always proposes windows, of candidates and of places as well as of the target.
 
-    Of a target asked for by id or box it proposes what `LearnedPolicy` does, of a person what
-    `PursuitPolicy` does.
+    Of a target asked for by id or box it proposes what `LearnedPolicy` does, of a person, after
+    the first frames, what `PursuitPolicy` does.
     """
 
     begins = VerifyingState
@@ -146,30 +156,46 @@ class VerifyingPolicy(Pursuit[VerifyingPolicySettings]):
 
     def plan(self, tracks: Tracks) -> GazePlan:
         """Return where to look in the frames after this one, and keep the new state."""
-        s = self.settings
-        if not self._state.spec.one:
-            plan, self._state = seek(tracks, self._state, s)
-        elif self._state.is_person:
-            rules = PursuitPolicySettings(horizon=s.horizon, patience=s.patience)
-            plan, self._state = pursue(tracks, self._state, rules)
-        else:
+        now, s = self._state, self.settings
+        if not now.spec.one:
+            plan, self._state = seek(tracks, now, s)
+        elif now.is_person and not fault(tracks):
+            plan, after = pursue(tracks, now, PursuitPolicySettings(horizon=s.horizon))
+            self._state = as_person(after, now.target)
+        else:  # the network's policy also tells what is wrong with tracks
             plan = self._learned.plan(tracks)
-            self._state = bound(self._state, self._learned.state().target)
+            self._state = bound(tracks, now, self._learned.state().target)
         return plan
 
 
-def bound(now: VerifyingState, target: TargetState) -> VerifyingState:
-    """Return the state once the network's target is bound: a person is pursued from then on."""
-    if target.bound_id < 0 or target.label not in now.spec.carriers:
+def bound(tracks: Tracks, now: VerifyingState, target: TargetState) -> VerifyingState:
+    """Return the state after a frame in which the network followed a target: is it a person?
+
+    A track may have another class in its first frames than it has later.
+    """
+    row = row_of(tracks, target.bound_id)
+    if now.is_person:
         return now
+    if row < 0 or tracks.name_of(row) not in now.spec.carriers:
+        return replace(now, person_frames=0)
     return replace(
         now,
-        is_person=True,
+        person_frames=now.person_frames + 1,
         locked=target.bound_id,
-        target=target.label,
+        target=tracks.name_of(row),
         seen_seq=target.seen_seq,
         box=target.box,
     )
+
+
+def as_person(now: VerifyingState, before: str) -> VerifyingState:
+    """Return the state with a class of people, `before` where the target is misread as another.
+
+    Nobody carries a person, and one who is lost comes back as a person.
+    """
+    if now.target in now.spec.carriers:
+        return now
+    return replace(now, target=before, carrier_id=-1)
 
 
 def seek(

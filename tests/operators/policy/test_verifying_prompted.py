@@ -63,13 +63,21 @@ def test_it_is_followed_as_by_the_learned_policy_also_after_a_swap() -> None:
         np.testing.assert_array_equal(mine.probability, other.probability)
 
 
-def crossing(seq: int) -> Tracks:
+def crossing(seq: int, label: int = 1) -> Tracks:
     """Return a ball and two people; the first is lost from frame 6 to 9, then has another id."""
-    first = [(20 if seq < 6 else 30, 1, 900.0 + 4 * seq, 500.0, 4.0)] if not 6 <= seq < 10 else []
-    return tracks(seq, (1, 0, 300, 300, 0), *first, (21, 1, 980.0, 500.0, 0.0), channels=CHANNELS)
+    first = [(20 if seq < 6 else 30, label, 900.0 + 4 * seq, 500.0, 4.0)]
+    there = first if not 6 <= seq < 10 else []
+    return tracks(seq, (1, 0, 300, 300, 0), *there, (21, 1, 980.0, 500.0, 0.0), channels=CHANNELS)
 
 
-@pytest.mark.parametrize("asked", [{"prompt_box": (880.0, 480.0, 920.0, 520.0)}, {"target_id": 20}])
+def choices(paths: list[Scanpath]) -> list[int]:
+    return [int(path.choice[0]) for path in paths]
+
+
+FIRST = {"prompt_box": (880.0, 480.0, 920.0, 520.0)}
+
+
+@pytest.mark.parametrize("asked", [FIRST, {"target_id": 20}])
 def test_a_person_is_followed_as_by_pursuit_also_after_a_swap(asked: dict[str, object]) -> None:
     frames = [crossing(seq) for seq in range(20)]
     first, second = verifying(target="", **asked), verifying(target="", **asked)
@@ -79,10 +87,63 @@ def test_a_person_is_followed_as_by_pursuit_also_after_a_swap(asked: dict[str, o
     assert restore(second, codec.dumps(first.state())) == "carried over"
     got += [second.on_tracks(frame) for frame in frames[8:]]
 
-    assert [int(path.choice[0]) for path in got] == [int(path.choice[0]) for path in wanted]
-    assert [int(path.choice[0]) for path in got] == [20] * 6 + [-1] * 4 + [30] * 10
-    for mine, other in zip(got[1:], wanted[1:], strict=True):
+    assert choices(got) == choices(wanted) == [20] * 6 + [-1] * 4 + [30] * 10
+    for mine, other in zip(got[3:], wanted[3:], strict=True):  # the first three are the network's
         np.testing.assert_array_equal(mine.boxes, other.boxes)
+
+
+def test_a_person_who_is_lost_as_soon_as_known_is_waited_for_where_that_was() -> None:
+    policy = verifying(target="", **FIRST)
+    for seq in range(3):
+        policy.on_tracks(crossing(seq))
+
+    path = policy.on_tracks(crossing(6))
+
+    assert path.choice[0] == -1
+    np.testing.assert_array_equal(path.boxes[0], crossing(2).boxes[1, -1])
+    assert policy.on_tracks(crossing(10)).choice[0] == 30
+
+
+@pytest.mark.parametrize(("first", "later", "person"), [(0, 1, True), (1, 0, False)])
+def test_the_class_that_a_track_has_later_counts(first: int, later: int, person: bool) -> None:
+    policy = verifying(target="", target_id=20)
+
+    for seq in range(5):
+        policy.on_tracks(crossing(seq, later if seq else first))
+
+    assert policy.state().is_person is person
+
+
+def test_a_person_who_is_misread_as_a_ball_is_carried_by_nobody_and_comes_back() -> None:
+    policy = verifying(target="", target_id=20)
+
+    got = [policy.on_tracks(crossing(seq, 0 if 3 <= seq < 6 else 1)) for seq in range(14)]
+
+    assert choices(got) == [20] * 6 + [-1] * 4 + [30] * 4
+    np.testing.assert_array_equal(got[9].boxes[0], crossing(5, 0).boxes[1, -1])
+
+
+def test_without_classes_of_people_the_network_follows_everybody() -> None:
+    policy = verifying(target="", target_id=20, carriers=())
+
+    assert choices([policy.on_tracks(crossing(seq)) for seq in range(5)]) == [20] * 5
+    assert not policy.state().is_person
+
+
+def test_tracks_that_are_not_finite_leave_the_last_plan_in_effect(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    policy = verifying(target="", target_id=20)
+    for seq in (*range(6), 10):
+        policy.on_tracks(crossing(seq))
+    broken = crossing(11)
+    broken.boxes[1] = np.nan
+
+    assert not len(policy.on_tracks(broken).choice)
+    assert "expected finite numbers in frame 11" in caplog.text
+    assert np.isfinite(policy.state().box).all()
+    assert policy.state().is_person
+    assert policy.on_tracks(crossing(12)).choice[0] == 30
 
 
 def test_after_a_person_a_ball_is_followed_by_the_network_again() -> None:
@@ -93,6 +154,15 @@ def test_after_a_person_a_ball_is_followed_by_the_network_again() -> None:
     policy.on_settings(build(VerifyingPolicySettings, ASKED, "policy"))
 
     assert played(policy, range(3, 6))[-1].probability.max() < 1
+    assert not policy.state().is_person
+
+
+def test_a_person_of_another_stream_is_another_one() -> None:
+    policy = verifying(target="", target_id=20)
+    played(policy, range(3))
+
+    policy.on_stream(header(0, stream="another"))
+
     assert not policy.state().is_person
 
 
