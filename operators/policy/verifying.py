@@ -9,7 +9,7 @@ is waited for and looked for among people, not among faint candidates again.
 
 That is for a target asked for by its class. One asked for by id or box needs no search: the network
 binds it to a track and follows it, as in `LearnedPolicy`. A person is followed by the rules of
-`PursuitPolicy` from the third frame on in which that track is one.
+`PursuitPolicy`, once that track has been one for three frames.
 """
 
 from collections.abc import Iterable, Mapping
@@ -173,9 +173,9 @@ def bound(tracks: Tracks, now: VerifyingState, target: TargetState) -> Verifying
 
     A track may have another class in its first frames than it has later.
     """
-    row = row_of(tracks, target.bound_id)
     if now.is_person:
         return now
+    row = row_of(tracks, target.bound_id)
     if row < 0 or tracks.name_of(row) not in now.spec.carriers:
         return replace(now, person_frames=0)
     return replace(

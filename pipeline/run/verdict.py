@@ -173,8 +173,8 @@ def lost_on(edge: Mapping[str, Any]) -> int:
 def alone(edge: Mapping[str, Any], edges: Sequence[Mapping[str, Any]]) -> int:
     """Return how many messages of an edge were unmatched because the node's others never came.
 
-    What dropped those counts them: a detector that skips a frame leaves its picture alone in a join
-    further on, which breaks no promise of the edge that brought the picture.
+    Those are counted where they were dropped. A detector that skips a frame leaves the picture of
+    that frame without its detections; the edge that brought the picture has kept its promise.
     """
     node = edge["to"].partition(".")[0]
     fewest = min(e["offered"] for e in edges if e["to"].partition(".")[0] == node)
