@@ -63,6 +63,8 @@ ALL, EACH = "development and folds", "each match by the others"
 FOLD_PX = (736, 416)  # input of a fold's detector of the context
 Array = NDArray[np.float32]
 Floats = NDArray[np.float64]
+# odds of all found (n,), whether each is a referee (n,), and how many referees there are
+Marks = tuple[Array, NDArray[np.bool_], int]
 Row = dict[str, Any]
 
 
@@ -72,6 +74,7 @@ class People:
 
     boxes: Array  # (n, 4) in the context, pixels of the sensor
     shown: Array  # (n, 4) in the ROI, or in the context where it shows nobody
+    worn: Floats  # (n, 2, 3) in the context, as `kits.kits` tells
     known: Floats  # (n, 6) logarithms of odds; columns as above
     referees: Array  # (m, 4) that are there
 
@@ -115,6 +118,7 @@ class PeopleLooks:
         return People(
             boxes=at,
             shown=shown,
+            worn=worn,
             known=np.column_stack([said, by_kits(said, worn, scores[rows] >= SURE), looked]),
             referees=whole.boxes[whole.numbers == NAMES.index(kits.REFEREE)],
         )
@@ -157,8 +161,8 @@ def by_kits(said: Floats, worn: Floats, sure: NDArray[np.bool_]) -> Floats:
 
 def marks(
     people: Iterable[People], columns: Sequence[int], weights: Floats, *, in_roi: bool
-) -> tuple[Array, NDArray[np.bool_], int]:
-    """Return the odds of all found (n,), whether each is a referee (n,), and how many there are."""
+) -> Marks:
+    """Return the marks of all who are found, by the weights of what is known of them."""
     odds, right, present = [], [], 0
     for of in people:
         boxes, known = of.by(columns, in_roi=in_roi)
@@ -205,11 +209,7 @@ def by_others(
     """Yield the figures of referees of all matches, each by weights fitted to the others."""
     for way in ways:
         columns, in_roi = WAYS[way]
-        found = []
-        for own, match in enumerate(matches):
-            others = [of for k, rest in enumerate(matches) if k != own for of in rest]
-            weights = fitted(others, columns, in_roi=in_roi)
-            found.append(marks(match, columns, weights, in_roi=in_roi))
+        found = [own for own, _ in each_by_others(matches, columns, in_roi=in_roi)]
         odds, right, present = zip(*found, strict=True)
         both = np.concatenate(odds), np.concatenate(right), sum(present)
         row = {"version": version, "data": EACH, "told by": way, "fitted to": "the others"}
@@ -217,9 +217,18 @@ def by_others(
         yield row | figures(both, None, precision) | unchosen
 
 
-def figures(
-    found: tuple[Array, NDArray[np.bool_], int], chosen: float | None, precision: float
-) -> Row:
+def each_by_others(
+    matches: Sequence[Sequence[People]], columns: Sequence[int], *, in_roi: bool
+) -> Iterator[tuple[Marks, Marks]]:
+    """Yield the marks of each match, and of all others, by weights fitted to the others."""
+    for own, match in enumerate(matches):
+        others = [of for k, rest in enumerate(matches) if k != own for of in rest]
+        weights = fitted(others, columns, in_roi=in_roi)
+        first, second = (marks(of, columns, weights, in_roi=in_roi) for of in (match, others))
+        yield first, second
+
+
+def figures(found: Marks, chosen: float | None, precision: float) -> Row:
     """Return the figures of those found, at a confidence and at the least one of a precision."""
     odds, right, present = found
     own = least_confidence(odds, right, precision)

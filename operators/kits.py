@@ -7,7 +7,7 @@ alike the kits are. `python -m bench.kits … --fit` fitted the weights; figures
 saliency/cards/referees.md.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,8 +19,9 @@ from pipeline import Detections, FoveaError, Frame, Input, Operator, SettingsErr
 from pipeline.boxes import in_picture, iou, parts_of
 
 Array = NDArray[np.float32]
+Part = tuple[float, float, float, float]  # left, top, right, low: shares of a box
 PLAYER, REFEREE = "player", "referee"
-TORSO, SHORTS = (0.3, 0.18, 0.7, 0.48), (0.3, 0.5, 0.7, 0.66)  # left, top, right, low: shares
+TORSO, SHORTS = (0.3, 0.18, 0.7, 0.48), (0.3, 0.5, 0.7, 0.66)
 BRIGHTNESS = 0.5  # of the weight of a difference in colour
 SAME_TORSO, SAME_SHORTS = 18.0, 25.0  # differences in CIELAB at which kits are hardly alike
 LEAST_SCORE = 0.02  # stands for a class that the detector did not report
@@ -119,10 +120,12 @@ def people(
     return np.array(first, np.intp), np.log(known / (1 - known))
 
 
-def kits(picture: NDArray[np.uint8], boxes: Array) -> NDArray[np.float64]:
-    """Return the colours of torso and shorts of each box (n, 4): (n, 2, 3), CIELAB of 8 bits."""
-    found = np.zeros((len(boxes), 2, 3))
-    for part, where in enumerate((TORSO, SHORTS)):
+def kits(
+    picture: NDArray[np.uint8], boxes: Array, parts: Sequence[Part] = (TORSO, SHORTS)
+) -> NDArray[np.float64]:
+    """Return the colours of parts of each box (n, 4): (n, parts, 3), CIELAB of 8 bits."""
+    found = np.zeros((len(boxes), len(parts), 3))
+    for part, where in enumerate(parts):
         for row, (x0, y0, x1, y1) in enumerate(parts_of(boxes, where)):
             patch = picture[
                 max(0, int(y0)) : max(0, int(np.ceil(y1))),

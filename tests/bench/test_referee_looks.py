@@ -40,7 +40,8 @@ def picture(rng: np.random.Generator, told: float = 3.0) -> People:
     known[4, REFEREE_IN_ROI] += 2 * told
     known[:, REFEREE_IN_ROI] -= told
     off = boxes + np.array([6, 0, 6, 0], np.float32)
-    return People(boxes=off, shown=boxes, known=known, referees=boxes[4:5])
+    worn = np.zeros((10, 2, 3))
+    return People(boxes=off, shown=boxes, worn=worn, known=known, referees=boxes[4:5])
 
 
 def pictures(seed: int, told: float = 3.0) -> list[People]:
@@ -66,7 +67,10 @@ def test_the_box_of_the_roi_counts_where_it_was_looked_at() -> None:
 
 def test_two_who_are_one_in_the_roi_count_once() -> None:
     boxes = np.array([[0, 0, 10, 30], [8, 0, 18, 30]], np.float32)
-    people = People(boxes=boxes, shown=boxes[[0, 0]], known=np.zeros((2, 6)), referees=boxes[:1])
+    people = People(
+        boxes=boxes, shown=boxes[[0, 0]], worn=np.zeros((2, 2, 3)), known=np.zeros((2, 6)),
+        referees=boxes[:1],
+    )  # fmt: skip
 
     assert len(people.by(ROI, in_roi=False)[0]) == 2
     assert len(people.by(ROI, in_roi=True)[0]) == 1
