@@ -59,7 +59,7 @@ def match(seed: int, *, coach: bool = False, pictures: int = PICTURES) -> list[L
         boxes = np.array([[30 * i, 0, 30 * i + 10, 30] for i in range(len(there))], np.float32)
         people = People(
             boxes=boxes, shown=boxes, worn=worn[:, :2],
-            known=rng.normal(size=(len(there), 6)) + (2, 2, 0, 0, 0, 0),
+            known=rng.normal(size=(len(there), 6)) + np.array([2, 2, 0, 0, 0, 0]),
             referees=boxes[kinds == REFEREE],
         )  # fmt: skip
         found.append(Looked(people=people, worn=worn))
