@@ -81,6 +81,10 @@ PLACES = {
         section="Networks and scenes", order=13,
         title="Referees told by the context, by their kits, and by a look at full resolution",
     ),
+    "match_kits": Place(
+        section="Networks and scenes", order=13,
+        title="Referees of matches that no detector saw, by a look and by kits of the match",
+    ),
     "rules_from_starts": Place(
         section="Tracking under a pixel budget", order=32,
         title="Each rule of the policies left out once, prompted by the true box from many starts",
