@@ -33,6 +33,7 @@ from drivers.scenes.soccer import SoccerScene
 from operators import kits
 from operators.saliency.example import NAMES
 from operators.training.stills import Labelled
+from pipeline.colours import colours
 from pipeline.errors import RunError
 from pipeline.whole_file import write_whole
 
@@ -53,7 +54,7 @@ class Scene:
     boxes: Array  # (n, 4)
     scores: Array  # (n,)
     said: Floats  # (n, 2) as `kits.people` tells
-    worn: Floats  # (n, 2, 3) as `kits.kits` tells
+    worn: Floats  # (n, 2, 3) as `colours` tells
     reported: Mapping[str, tuple[Array, Array]]  # what the detector reports by class
     truth: Mapping[str, Array]  # boxes by class
 
@@ -68,7 +69,7 @@ def scene(small: Labelled, found: Mapping[str, tuple[Array, Array]]) -> Scene:
         boxes=boxes[rows],
         scores=scores[rows],
         said=said,
-        worn=kits.kits(small.picture, boxes[rows]),
+        worn=colours(small.picture, boxes[rows]),
         reported={name: found[name] for name in PEOPLE},
         truth={name: small.boxes[small.numbers == NAMES.index(name)] for name in PEOPLE},
     )

@@ -43,13 +43,12 @@ from bench.referee_looks import (
     fitted,
     share,
 )
-from operators import kits
 from operators.training.stills import Labelled
+from pipeline.colours import SHORTS, TORSO, Part, colours, differences
 from pipeline.whole_file import write_whole
 
-KNEES: kits.Part = (0.25, 0.64, 0.75, 0.76)
-PARTS = (kits.TORSO, kits.SHORTS, KNEES)
-BRIGHTNESS = np.array([kits.BRIGHTNESS, 1, 1])
+KNEES: Part = (0.25, 0.64, 0.75, 0.76)
+PARTS = (TORSO, SHORTS, KNEES)
 # differences in CIELAB at which kits are hardly alike: more than within a picture
 SAME_TORSO, SAME_SHORTS = 25.0, 35.0
 RARE = 0.05  # people in such a kit in a picture, below which all are as rare
@@ -69,13 +68,13 @@ class Looked:
     """The people of a picture, and what they wear at full resolution."""
 
     people: People
-    worn: Floats  # (n, 3, 3): torso, shorts and knees as `kits.kits` tells
+    worn: Floats  # (n, 3, 3): torso, shorts and knees as `colours` tells
 
 
 def looked(looks: PeopleLooks, picture: Labelled) -> Looked:
     """Look at everybody in a picture."""
     people = looks.people(picture)
-    return Looked(people=people, worn=kits.kits(picture.picture, people.shown, PARTS))
+    return Looked(people=people, worn=colours(picture.picture, people.shown, PARTS))
 
 
 def sure(people: People) -> NDArray[np.bool_]:
@@ -85,7 +84,7 @@ def sure(people: People) -> NDArray[np.bool_]:
 
 def likeness(worn: Floats, others: Floats) -> tuple[Floats, Floats]:
     """Return how alike shirts, and shirts and shorts, of (n, 2, 3) and (m, 2, 3) are: (n, m)."""
-    apart = np.linalg.norm((worn[:, None] - others[None]) * BRIGHTNESS, axis=-1)
+    apart = differences(worn, others)
     torso = np.exp(-((apart[..., 0] / SAME_TORSO) ** 2))
     return torso, torso * np.exp(-((apart[..., 1] / SAME_SHORTS) ** 2))
 

@@ -38,6 +38,7 @@ from operators import kits
 from operators.saliency.example import NAMES
 from operators.training.stills import Labelled
 from pipeline.boxes import iou
+from pipeline.colours import colours
 from pipeline.errors import SettingsError
 from pipeline.whole_file import write_whole
 
@@ -74,7 +75,7 @@ class People:
 
     boxes: Array  # (n, 4) in the context, pixels of the sensor
     shown: Array  # (n, 4) in the ROI, or in the context where it shows nobody
-    worn: Floats  # (n, 2, 3) in the context, as `kits.kits` tells
+    worn: Floats  # (n, 2, 3) in the context, as `colours` tells
     known: Floats  # (n, 6) logarithms of odds; columns as above
     referees: Array  # (m, 4) that are there
 
@@ -107,7 +108,7 @@ class PeopleLooks:
         scores = np.concatenate([found[name][1] for name in PEOPLE])
         labels = np.repeat(np.arange(len(PEOPLE)), [len(found[name][1]) for name in PEOPLE])
         rows, said = kits.people(boxes, scores, labels, 0, 1)
-        worn = kits.kits(small.picture, boxes[rows])
+        worn = colours(small.picture, boxes[rows])
         height, width = whole.picture.shape[:2]
         small_height, small_width = small.picture.shape[:2]
         gain = np.array([width / small_width, height / small_height] * 2, np.float32)

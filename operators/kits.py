@@ -7,22 +7,19 @@ alike the kits are. `python -m bench.kits … --fit` fitted the weights; figures
 saliency/cards/referees.md.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import Detections, FoveaError, Frame, Input, Operator, SettingsError
-from pipeline.boxes import in_picture, iou, parts_of
+from pipeline.boxes import in_picture, iou
+from pipeline.colours import colours, differences
 
 Array = NDArray[np.float32]
-Part = tuple[float, float, float, float]  # left, top, right, low: shares of a box
 PLAYER, REFEREE = "player", "referee"
-TORSO, SHORTS = (0.3, 0.18, 0.7, 0.48), (0.3, 0.5, 0.7, 0.66)
-BRIGHTNESS = 0.5  # of the weight of a difference in colour
 SAME_TORSO, SAME_SHORTS = 18.0, 25.0  # differences in CIELAB at which kits are hardly alike
 LEAST_SCORE = 0.02  # stands for a class that the detector did not report
 NEVER = -4.0  # least evidence of the others, also where there are none
@@ -80,7 +77,7 @@ class Kits(Operator[KitsSettings, Detections]):
         if len(rows) < self.settings.least_people:
             return detections
         picture = np.asarray(frame.pixels, np.uint8)
-        worn = kits(picture, in_picture(detections.boxes[rows], frame))
+        worn = colours(picture, in_picture(detections.boxes[rows], frame))
         odds = evidence(said, worn) @ WEIGHTS[:-1] + WEIGHTS[-1]
         labels = detections.labels.copy()
         labels[rows] = np.where(odds >= self.settings.least_evidence, referee, player)
@@ -120,23 +117,6 @@ def people(
     return np.array(first, np.intp), np.log(known / (1 - known))
 
 
-def kits(
-    picture: NDArray[np.uint8], boxes: Array, parts: Sequence[Part] = (TORSO, SHORTS)
-) -> NDArray[np.float64]:
-    """Return the colours of parts of each box (n, 4): (n, parts, 3), CIELAB of 8 bits."""
-    found = np.zeros((len(boxes), len(parts), 3))
-    for part, where in enumerate(parts):
-        for row, (x0, y0, x1, y1) in enumerate(parts_of(boxes, where)):
-            patch = picture[
-                max(0, int(y0)) : max(0, int(np.ceil(y1))),
-                max(0, int(x0)) : max(0, int(np.ceil(x1))),
-            ]
-            if patch.size:
-                colours = cv2.cvtColor(np.ascontiguousarray(patch), cv2.COLOR_RGB2LAB)
-                found[row, part] = np.median(colours.reshape(-1, 3), 0)
-    return found
-
-
 def signs(worn: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what tells a referee's kit among those of a picture, (n, 2, 3): (n, 5).
 
@@ -144,8 +124,7 @@ def signs(worn: NDArray[np.float64]) -> NDArray[np.float64]:
     too (both as logarithms), the logarithm of how many people there are, brightness of the shorts.
     """
     count = len(worn)
-    weight = np.array([BRIGHTNESS, 1, 1])
-    apart = np.linalg.norm((worn[:, None] - worn[None]) * weight, axis=-1)  # (n, n, 2)
+    apart = differences(worn, worn)  # (n, n, 2)
     torso = np.exp(-((apart[..., 0] / SAME_TORSO) ** 2))
     both = torso * np.exp(-((apart[..., 1] / SAME_SHORTS) ** 2))
     like, alike = torso.sum(1) - 1, both.sum(1) - 1  # but oneself
