@@ -92,7 +92,7 @@ def by_objects(changes: Sequence[str], frames: int = FRAMES, *, policy: str = ""
         stages.begin(camera.header(0), *NEEDED)
         for frame in range(2):
             small = stages.call("downsample", frame=camera.context(frame))
-            tracks = stages.call("association", detections=stages.call("saliency", frame=small))
+            tracks = stages.tracks(stages.call("saliency", frame=small), small)
         for count in COUNTS:
             stages.begin(camera.header(0), "policy")
             spent: list[float] = []

@@ -24,7 +24,7 @@ def watched(
     for frame in range(frames):
         small = stages.call("downsample", frame=camera.context(frame, frame))
         seen = replaced.detections(stages.finds(small), frame)
-        found[frame] = stages.call("association", detections=without(seen, missed))
+        found[frame] = stages.tracks(without(seen, missed), small)
     return found
 
 

@@ -76,7 +76,13 @@ class Stages:
 
     def _before_association(self, graph: Path) -> tuple[str, ...]:
         """Return the further stage that association needs; raises `GraphError` for another one."""
-        source = self.plan.inputs(ASSOCIATION)["detections"].source
+        inputs = self.plan.inputs(ASSOCIATION)
+        if "frame" in inputs and (shown := inputs["frame"].source) != "downsample":
+            raise GraphError(
+                f"{graph}: association.frame: expected downsample, which is played here, "
+                f"got {shown}"
+            )
+        source = inputs["detections"].source
         if source not in (SALIENCY, KITS):
             raise GraphError(
                 f"{graph}: association.detections: expected {SALIENCY} or {KITS}, which are played "
@@ -123,6 +129,12 @@ class Stages:
         if KITS in self._parts:
             found = self.call(KITS, detections=found, frame=picture)
         return found
+
+    def tracks(self, detections: Detections, picture: Frame) -> Tracks:
+        """Return what association makes of detections in a picture, which its graph may show it."""
+        shown = {"frame": picture} if "frame" in self.plan.inputs(ASSOCIATION) else {}
+        tracks: Tracks = self.call(ASSOCIATION, detections=detections, **shown)
+        return tracks
 
     def looks(self, roi: Frame, tracks: Tracks) -> RoiFeatures:
         """Return what the policy hears of a ROI: what the encoder tells, verified in its graph."""

@@ -1,4 +1,4 @@
-"""Track objects: Detections -> Tracks, with gaps filled and the next frames predicted.
+"""Track objects: Detections, and their Frame -> Tracks, with gaps filled and frames predicted.
 
 Paper, section 3.3: Hungarian matching with the same class first, and a constant-velocity Kalman
 filter on the centre. As in the paper, the size is not in the filter's state; it is smoothed
@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.association.appearance import likeness, worn
 from operators.association.kalman import extrapolate, motion_model
 from operators.association.matching import match
 from operators.association.table import Table, advance, born, box_sizes, empty, see, select
-from pipeline import Detections, Geometry, Header, Input, Operator, SettingsError, Tracks
+from pipeline import Detections, Frame, Geometry, Header, Input, Operator, SettingsError, Tracks
 from pipeline.boxes import from_centres
 from pipeline.errors import MessageError
 
@@ -36,12 +37,19 @@ class AssociationSettings:
     birth_score: float = 0.0  # detections below it continue tracks but start none
     small_share: float = 0.02  # of the field's width: smaller objects may also match by distance
     small_reach: float = 1.25  # distance limit of such a match, box sizes per frame; 0: off
+    other_colours: float = 40.0  # difference in CIELAB at which two are hardly alike; 0: off
 
     def __post_init__(self) -> None:
         for name in ("observed", "horizon", "max_objects", "confirm"):
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
-        for name in ("max_missed", "max_missed_unconfirmed", "small_share", "small_reach"):
+        for name in (
+            "max_missed",
+            "max_missed_unconfirmed",
+            "small_share",
+            "small_reach",
+            "other_colours",
+        ):
             if getattr(self, name) < 0:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
         for name in ("process_noise", "measurement_noise"):
@@ -55,11 +63,15 @@ class AssociationSettings:
 class Association(Operator[AssociationSettings, Tracks]):
     """Report at most `max_objects` confirmed objects, ordered by id; deterministic.
 
+    With `frame`, the picture in which they were detected, objects are told apart by their colours,
+    too. One without colours, or none, changes nothing.
+
     Raises `MessageError` when frames run backwards or the number of feature channels changes.
     """
 
     commands = ("forget",)
     detections = Input(Detections, keep="every")
+    frame = Input(Frame, keep="every", optional=True)
 
     def open(self) -> None:
         """Start without objects."""
@@ -92,21 +104,28 @@ class Association(Operator[AssociationSettings, Tracks]):
         self._table = state
 
     def on_detections(self, detections: Detections) -> Tracks:
+        """Track without a picture."""
+        return self.on_detections_frame(detections, None)
+
+    def on_detections_frame(self, detections: Detections, frame: Frame | None) -> Tracks:
         """Match and update tracks, end old ones, start new ones, and report."""
         s, table = self.settings, self._foreseen(detections)
+        compared = frame is not None and s.other_colours > 0
+        colours = worn(detections.boxes, frame if compared else None)
         pairs = match(
             table.boxes[:, -1],
             detections.boxes,
             table.labels[:, None] == detections.labels[None],
             iou_gate=s.iou_gate,
             reach_px=reaches(table, detections.header.geometry.width_px, s),
+            alike=likeness(table.colours, colours, s.other_colours) if compared else None,
         )
-        table = see(table, pairs, detections, self._model)
+        table = see(table, pairs, detections, colours, self._model)
         table = select(table, alive(table, detections.header.geometry, s))
         fresh = newcomers(detections.scores, pairs[:, 1], s.birth_score)
         # keep at most four objects per reported one, against detector noise
         fresh = np.sort(fresh[: max(4 * s.max_objects - len(table.ids), 0)])
-        self._table = born(table, fresh, detections, self._model)
+        self._table = born(table, fresh, detections, colours, self._model)
         return self._report(detections.header)
 
     def _foreseen(self, detections: Detections) -> Table:

@@ -16,8 +16,11 @@ def match(
     *,
     iou_gate: float,
     reach_px: NDArray[np.float32],  # (n,): distance limit of small objects, 0: not small
+    alike: NDArray[np.float32] | None = None,  # (n, m): likeness of colours, above 0 to 1
 ) -> Pairs:
     """Pair tracks with detections, each at most once; (k, 2) indices, ordered by track.
+
+    Overlap counts as much as colours are alike: of two people who cross, each keeps the shirt.
 
     The same class is matched first by overlap, then by distance for objects too small to overlap,
     then across classes by overlap. Distance precedes a change of class: a ball that left its box is
@@ -27,6 +30,7 @@ def match(
         return np.zeros((0, 2), np.int64)
     overlap = iou(predicted, detected)
     overlapping = overlap >= iou_gate
+    overlap = overlap if alike is None else overlap * alike
     found = [assign(overlap, overlapping & same)]
     if reach_px.any():
         nearness = near(predicted, detected, reach_px)

@@ -16,6 +16,7 @@ from pipeline.messages import Detections
 
 SIZE_GAIN = 0.3  # weight of a new width and height
 SCORE_GAIN = 0.25  # weight of a new score; an undetected object scores 0
+COLOUR_GAIN = 0.2  # weight of new colours
 RELABEL_AFTER = 3  # detections of another class in succession before a track changes its class
 
 
@@ -38,6 +39,7 @@ class Table:
     boxes: NDArray[np.float32]  # (n, To, 4): as detected, or as the filter has it where unseen
     visible: NDArray[np.bool_]  # (n, To)
     features: NDArray[np.float32]  # (n, To, C): of the last sighting where unseen
+    colours: NDArray[np.float32]  # (n, 2, 3), smoothed, CIELAB; not a number where unknown
 
 
 ROWS = tuple(name for name in Table.__dataclass_fields__ if name not in ("seq", "next_id", "names"))
@@ -61,6 +63,7 @@ def empty(observed: int, channels: int, names: tuple[str, ...] = ()) -> Table:
         boxes=np.zeros((0, observed, 4), np.float32),
         visible=np.zeros((0, observed), np.bool_),
         features=np.zeros((0, observed, channels), np.float32),
+        colours=np.zeros((0, 2, 3), np.float32),
     )
 
 
@@ -92,9 +95,16 @@ def advance(table: Table, seq: int, model: MotionModel) -> Table:
 
 
 def see(
-    table: Table, pairs: NDArray[np.int64], detections: Detections, model: MotionModel
+    table: Table,
+    pairs: NDArray[np.int64],
+    detections: Detections,
+    colours: NDArray[np.float32],
+    model: MotionModel,
 ) -> Table:
-    """Update matched rows: pairs (k, 2) of row and detection; other rows count as undetected."""
+    """Update matched rows: pairs (k, 2) of row and detection; other rows count as undetected.
+
+    `colours` are those of the detections, (m, 2, 3).
+    """
     row, seen = pairs[:, 0], pairs[:, 1]
     found = detections.boxes[seen]
     mean, covariance = table.mean.copy(), table.covariance.copy()
@@ -111,6 +121,8 @@ def see(
     boxes, visible, features = table.boxes.copy(), table.visible.copy(), table.features.copy()
     boxes[row, -1], visible[row, -1], features[row, -1] = found, True, detections.features[seen]
     labels, doubts = relabelled(table.labels, table.doubts, row, detections.labels[seen])
+    smooth = table.colours.copy()
+    smooth[row] = smoothed(table.colours[row], colours[seen])
     return replace(
         table,
         names=detections.names,
@@ -125,7 +137,19 @@ def see(
         boxes=boxes,
         visible=visible,
         features=features,
+        colours=smooth,
     )
+
+
+def smoothed(old: NDArray[np.float32], new: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return colours after new ones were seen, (n, 2, 3): either alone where the other is unknown.
+
+    >>> old, new = np.array([[10.0, np.nan, np.nan], [20.0, 20.0, np.nan]])
+    >>> smoothed(old, new).tolist()
+    [12.0, 20.0, nan]
+    """
+    known = np.where(np.isnan(old), new, old)
+    return np.asarray(known + COLOUR_GAIN * np.nan_to_num(new - known), np.float32)
 
 
 def relabelled(
@@ -147,9 +171,12 @@ def born(
     table: Table,
     fresh: NDArray[np.int64],
     detections: Detections,
+    colours: NDArray[np.float32],
     model: MotionModel,
 ) -> Table:
     """Add one row per unmatched detection `fresh` (k,), with zero velocity.
+
+    `colours` are those of the detections, (m, 2, 3).
 
     Earlier columns repeat its first box and features, marked as not visible.
     """
@@ -170,6 +197,7 @@ def born(
         "boxes": np.repeat(found[:, None], observed, axis=1),
         "visible": visible,
         "features": np.repeat(detections.features[fresh][:, None], observed, axis=1),
+        "colours": colours[fresh],
     }
     joined: dict[str, Any] = {
         name: np.concatenate([getattr(table, name), rows[name]]) for name in ROWS

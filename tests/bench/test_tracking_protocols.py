@@ -20,6 +20,7 @@ from bench.tracking.figures import figures_of
 from bench.tracking.report import same_help
 from bench.tracking.stages import Stages
 from bench.tracking.targets import targets
+from operators.association.appearance import worn
 from operators.policy import LearnedPolicy
 from operators.tracker import TrackerState
 from pipeline import Input, Percept
@@ -228,10 +229,41 @@ def test_features_that_are_not_played_are_refused(tmp_path: Path) -> None:
 def test_detections_that_are_not_played_are_refused(tmp_path: Path) -> None:
     graph = tmp_path / "retold.yaml"
     known = TRACKING.read_text()
-    graph.write_text(known.replace("  kits: #", "  worn: #").replace(": kits}", ": worn}"))
+    graph.write_text(known.replace("  kits: #", "  worn: #").replace(": kits", ": worn"))
 
     with pytest.raises(GraphError, match=r"association\.detections: expected saliency or kits"):
         Stages(graph)
+
+
+def test_a_picture_of_association_that_is_not_played_is_refused(tmp_path: Path) -> None:
+    graph = tmp_path / "large.yaml"
+    known = TRACKING.read_text()
+    graph.write_text(known.replace("kits, frame: downsample}", "kits, frame: capture.context}"))
+
+    with pytest.raises(GraphError, match=r"association\.frame: expected downsample"):
+        Stages(graph)
+
+
+def test_association_is_shown_the_picture_where_its_graph_shows_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clip = read(ClipName(seed=52_000), (1, 2))
+    camera = Camera(clip, acquisition("full", Fraction(1, 16), clip.size_px))
+    unseen = tmp_path / "unseen.yaml"
+    unseen.write_text(TRACKING.read_text().replace("kits, frame: downsample}", "kits}"))
+    shown = []
+    monkeypatch.setattr(
+        "operators.association.association.worn",
+        lambda boxes, frame: (shown.append(frame is not None), worn(boxes, frame))[1],
+    )
+
+    for graph in (TRACKING, unseen):
+        with Stages(graph) as stages:
+            stages.begin(camera.header(0), "downsample", "saliency", "association")
+            picture = stages.call("downsample", frame=camera.context(0))
+            stages.tracks(stages.finds(picture), picture)
+
+    assert shown == [True, False]
 
 
 def test_a_graph_with_kits_is_played_with_kits() -> None:
