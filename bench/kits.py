@@ -69,7 +69,7 @@ def scene(small: Labelled, found: Mapping[str, tuple[Array, Array]]) -> Scene:
         boxes=boxes[rows],
         scores=scores[rows],
         said=said,
-        worn=colours(small.picture, boxes[rows]),
+        worn=np.nan_to_num(colours(small.picture, boxes[rows])),
         reported={name: found[name] for name in PEOPLE},
         truth={name: small.boxes[small.numbers == NAMES.index(name)] for name in PEOPLE},
     )

@@ -74,17 +74,17 @@ class Looked:
 def looked(looks: PeopleLooks, picture: Labelled) -> Looked:
     """Look at everybody in a picture."""
     people = looks.people(picture)
-    return Looked(people=people, worn=colours(picture.picture, people.shown, PARTS))
+    return Looked(people=people, worn=np.nan_to_num(colours(picture.picture, people.shown, PARTS)))
 
 
 def sure(people: People) -> NDArray[np.bool_]:
     """Return with whose kits others are compared: (n,)."""
-    return np.asarray(expit(people.known[:, list(CONTEXT)].max(1, initial=-np.inf)) >= SURE)
+    return np.asarray(expit(people.known[:, list(CONTEXT)].max(1)) >= SURE)
 
 
 def likeness(worn: Floats, others: Floats) -> tuple[Floats, Floats]:
     """Return how alike shirts, and shirts and shorts, of (n, 2, 3) and (m, 2, 3) are: (n, m)."""
-    apart = differences(worn, others)
+    apart = differences(worn[:, None], others[None])
     torso = np.exp(-((apart[..., 0] / SAME_TORSO) ** 2))
     return torso, torso * np.exp(-((apart[..., 1] / SAME_SHORTS) ** 2))
 
@@ -142,7 +142,7 @@ def with_kits(match: Sequence[Looked], weights: Floats) -> list[People]:
     people = []
     for of, known in zip(match, of_match(match), strict=True):
         evidence = known @ weights[:-1] + weights[-1]
-        empty = of.people.known[:, list(ROI)].max(1, initial=-np.inf) < nobody
+        empty = of.people.known[:, list(ROI)].max(1) < nobody
         own = (np.minimum(evidence, 0), np.maximum(evidence, 0), empty)
         people.append(replace(of.people, known=np.column_stack([of.people.known, *own])))
     return people

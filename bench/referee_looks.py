@@ -108,7 +108,7 @@ class PeopleLooks:
         scores = np.concatenate([found[name][1] for name in PEOPLE])
         labels = np.repeat(np.arange(len(PEOPLE)), [len(found[name][1]) for name in PEOPLE])
         rows, said = kits.people(boxes, scores, labels, 0, 1)
-        worn = colours(small.picture, boxes[rows])
+        worn = np.nan_to_num(colours(small.picture, boxes[rows]))
         height, width = whole.picture.shape[:2]
         small_height, small_width = small.picture.shape[:2]
         gain = np.array([width / small_width, height / small_height] * 2, np.float32)

@@ -77,7 +77,7 @@ class Kits(Operator[KitsSettings, Detections]):
         if len(rows) < self.settings.least_people:
             return detections
         picture = np.asarray(frame.pixels, np.uint8)
-        worn = colours(picture, in_picture(detections.boxes[rows], frame))
+        worn = np.nan_to_num(colours(picture, in_picture(detections.boxes[rows], frame)))
         odds = evidence(said, worn) @ WEIGHTS[:-1] + WEIGHTS[-1]
         labels = detections.labels.copy()
         labels[rows] = np.where(odds >= self.settings.least_evidence, referee, player)
@@ -124,7 +124,7 @@ def signs(worn: NDArray[np.float64]) -> NDArray[np.float64]:
     too (both as logarithms), the logarithm of how many people there are, brightness of the shorts.
     """
     count = len(worn)
-    apart = differences(worn, worn)  # (n, n, 2)
+    apart = differences(worn[:, None], worn[None])  # (n, n, 2)
     torso = np.exp(-((apart[..., 0] / SAME_TORSO) ** 2))
     both = torso * np.exp(-((apart[..., 1] / SAME_SHORTS) ** 2))
     like, alike = torso.sum(1) - 1, both.sum(1) - 1  # but oneself

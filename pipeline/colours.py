@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from pipeline.boxes import Array, parts_of
 
 Part = tuple[float, float, float, float]  # left, top, right, low: shares of a box
-TORSO: Part = (0.3, 0.18, 0.7, 0.48)  # of somebody who stands
+# of somebody who stands, whom most graphs follow; of other things they are two halves
+TORSO: Part = (0.3, 0.18, 0.7, 0.48)
 SHORTS: Part = (0.3, 0.5, 0.7, 0.66)
-BRIGHTNESS = 0.5  # weight of a difference in brightness, of which shadow makes much
+BRIGHTNESS = 0.5  # weight of a difference in brightness, because shadows change it
 
 
 def colours(
@@ -20,13 +21,13 @@ def colours(
 ) -> NDArray[np.float64]:
     """Return the median colours of parts of boxes, (n, 4), pixels: (n, parts, 3), CIELAB of 8 bits.
 
-    `picture` is (height, width, 3), RGB. A part outside of it is black: 0, 0, 0.
+    `picture` is (height, width, 3), RGB. A part outside of it is not a number.
 
     >>> grey = np.full((20, 10, 3), 128, np.uint8)
     >>> colours(grey, np.array([[0, 0, 10, 20]], np.float32)).tolist()
     [[[137.0, 128.0, 128.0], [137.0, 128.0, 128.0]]]
     """
-    found = np.zeros((len(boxes), len(parts), 3))
+    found = np.full((len(boxes), len(parts), 3), np.nan)
     for part, where in enumerate(parts):
         corners = parts_of(boxes, where)
         starts, ends = np.maximum(corners[:, :2], 0), np.maximum(np.ceil(corners[:, 2:]), 0)
@@ -41,9 +42,8 @@ def colours(
 
 
 def differences(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how far colours of (n, parts, 3) and (m, parts, 3) are apart: (n, m, parts)."""
-    weights = np.array([BRIGHTNESS, 1, 1])
-    return np.asarray(np.linalg.norm((a[:, None] - b[None]) * weights, axis=-1))
+    """Return how far colours (..., 3) are apart, which are broadcast: (...)."""
+    return np.asarray(np.linalg.norm((a - b) * np.array([BRIGHTNESS, 1, 1]), axis=-1))
 
 
 def _median(values: NDArray[Any]) -> NDArray[np.float64]:

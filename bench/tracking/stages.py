@@ -119,6 +119,10 @@ class Stages:
             part.on_settings(replace(self._own[name], **settings.get(name, {})))
             part.on_stream(header)
 
+    def state(self, name: str) -> Any:
+        """Return the state of a stage, as another instance would take it over."""
+        return self._parts[name].state()
+
     def restore(self, name: str, state: object) -> None:
         """Let a stage go on from the state of another instance."""
         self._parts[name].restore(state)

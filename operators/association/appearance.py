@@ -8,7 +8,7 @@ from pipeline.boxes import in_picture
 from pipeline.colours import colours, differences
 
 LEAST_PX = 6.0  # height in the picture: of what is smaller, as a ball, colours are the lawn's
-MOST_UNLIKE = 50.0  # a pair that is allowed has a value above 0
+MOST_UNLIKE = 50.0  # limits the exponent, so that likeness stays above 0, as `assign` needs it
 Array = NDArray[np.float32]
 
 
@@ -27,11 +27,11 @@ def worn(boxes: Array, frame: Frame | None) -> Array:
     return found
 
 
-def likeness(known: Array, seen: Array, other: float) -> Array:
-    """Return how alike tracks (n, 2, 3) and detections (m, 2, 3) are: (n, m), above 0 to 1.
+def likeness(known: Array, seen: Array, difference: float) -> Array:
+    """Return how alike the colours of pairs are, (n, 2, 3) and (n, 2, 3): (n,), above 0 to 1.
 
-    1 where either is unknown, exp(-1) where one part differs by `other`.
+    1 where either is unknown, exp(-1) where one part differs by `difference`, in CIELAB.
     """
     apart = differences(known.astype(np.float64), seen.astype(np.float64))
-    unlike = np.nan_to_num((apart / other) ** 2).sum(-1)
+    unlike = np.nan_to_num((apart / difference) ** 2).sum(-1)
     return np.asarray(np.exp(-np.minimum(unlike, MOST_UNLIKE)), np.float32)

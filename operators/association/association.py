@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from operators.association.appearance import likeness, worn
 from operators.association.kalman import extrapolate, motion_model
-from operators.association.matching import match
+from operators.association.matching import Rows, match
 from operators.association.table import Table, advance, born, box_sizes, empty, see, select
 from pipeline import Detections, Frame, Geometry, Header, Input, Operator, SettingsError, Tracks
 from pipeline.boxes import from_centres
@@ -37,7 +37,7 @@ class AssociationSettings:
     birth_score: float = 0.0  # detections below it continue tracks but start none
     small_share: float = 0.02  # of the field's width: smaller objects may also match by distance
     small_reach: float = 1.25  # distance limit of such a match, box sizes per frame; 0: off
-    other_colours: float = 40.0  # difference in CIELAB at which two are hardly alike; 0: off
+    colour_difference: float = 40.0  # in CIELAB, at which likeness is .37; 0: colours count not
 
     def __post_init__(self) -> None:
         for name in ("observed", "horizon", "max_objects", "confirm"):
@@ -48,7 +48,7 @@ class AssociationSettings:
             "max_missed_unconfirmed",
             "small_share",
             "small_reach",
-            "other_colours",
+            "colour_difference",
         ):
             if getattr(self, name) < 0:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
@@ -110,15 +110,19 @@ class Association(Operator[AssociationSettings, Tracks]):
     def on_detections_frame(self, detections: Detections, frame: Frame | None) -> Tracks:
         """Match and update tracks, end old ones, start new ones, and report."""
         s, table = self.settings, self._foreseen(detections)
-        compared = frame is not None and s.other_colours > 0
-        colours = worn(detections.boxes, frame if compared else None)
+        shown = frame if s.colour_difference else None
+        colours = worn(detections.boxes, shown)
+
+        def alike(track: Rows, seen: Rows) -> NDArray[np.float32]:
+            return likeness(table.colours[track], colours[seen], s.colour_difference)
+
         pairs = match(
             table.boxes[:, -1],
             detections.boxes,
             table.labels[:, None] == detections.labels[None],
             iou_gate=s.iou_gate,
             reach_px=reaches(table, detections.header.geometry.width_px, s),
-            alike=likeness(table.colours, colours, s.other_colours) if compared else None,
+            likeness=alike if shown else None,
         )
         table = see(table, pairs, detections, colours, self._model)
         table = select(table, alive(table, detections.header.geometry, s))

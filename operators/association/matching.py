@@ -1,5 +1,7 @@
 """Match detections to tracks: predicted and detected boxes -> pairs of indices."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
@@ -7,6 +9,9 @@ from scipy.optimize import linear_sum_assignment
 from pipeline.boxes import centres, iou
 
 Pairs = NDArray[np.int64]  # (k, 2): track, detection
+Rows = NDArray[np.intp]
+# tracks (k,) and detections (k,) -> how alike each pair is (k,), above 0 to 1
+Likeness = Callable[[Rows, Rows], NDArray[np.float32]]
 
 
 def match(
@@ -16,11 +21,11 @@ def match(
     *,
     iou_gate: float,
     reach_px: NDArray[np.float32],  # (n,): distance limit of small objects, 0: not small
-    alike: NDArray[np.float32] | None = None,  # (n, m): likeness of colours, above 0 to 1
+    likeness: Likeness | None = None,  # of the colours of pairs
 ) -> Pairs:
     """Pair tracks with detections, each at most once; (k, 2) indices, ordered by track.
 
-    Overlap counts as much as colours are alike: of two people who cross, each keeps the shirt.
+    Overlap is multiplied by the likeness of colours, so that people who cross keep their tracks.
 
     The same class is matched first by overlap, then by distance for objects too small to overlap,
     then across classes by overlap. Distance precedes a change of class: a ball that left its box is
@@ -30,7 +35,8 @@ def match(
         return np.zeros((0, 2), np.int64)
     overlap = iou(predicted, detected)
     overlapping = overlap >= iou_gate
-    overlap = overlap if alike is None else overlap * alike
+    if likeness is not None:
+        overlap[overlapping] *= likeness(*np.nonzero(overlapping))
     found = [assign(overlap, overlapping & same)]
     if reach_px.any():
         nearness = near(predicted, detected, reach_px)

@@ -30,7 +30,7 @@ def test_each_part_has_the_median_of_its_pixels(
             max(0, int(y0)) : max(0, int(np.ceil(y1))), max(0, int(x0)) : max(0, int(np.ceil(x1)))
         ]
         if not patch.size:
-            assert found[0, part].tolist() == [0, 0, 0]
+            assert np.isnan(found[0, part]).all()
             continue
         lab = cv2.cvtColor(np.ascontiguousarray(patch), cv2.COLOR_RGB2LAB).reshape(-1, 3)
         assert found[0, part].tolist() == np.median(lab, 0).tolist()
@@ -62,4 +62,4 @@ def test_brightness_counts_less_than_colour() -> None:
 
     assert differences(dark, bright)[0, 0] == pytest.approx(BRIGHTNESS * 40)
     assert differences(dark, red)[0, 0] == pytest.approx(40)
-    assert differences(np.zeros((2, 3, 3)), np.zeros((5, 3, 3))).shape == (2, 5, 3)
+    assert differences(np.zeros((2, 1, 3, 3)), np.zeros((5, 3, 3))).shape == (2, 5, 3)

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from operators.association import Association, AssociationSettings
 from operators.association.appearance import LEAST_PX, likeness, worn
-from pipeline import Detections, Frame, Tracks
+from pipeline import Detections, Frame, SettingsError, Tracks
 from pipeline.codec import dumps, loads
 from pipeline.testing import drive, header
 
@@ -82,7 +82,7 @@ def test_without_colours_they_are_told_apart_by_motion_alone(how: str) -> None:
     found = {
         "no picture": drive(Association, [{"detections": d, "frame": None} for d, _ in frames]),
         "grey": tracked([(d, f) for (d, _), f in zip(frames, green, strict=True)]),
-        "switched off": tracked(frames, other_colours=0.0),
+        "switched off": tracked(frames, colour_difference=0.0),
     }[how]
 
     assert id_at(alone[14], RED_LEFT) == id_at(alone[2], 800 - RED_LEFT)
@@ -128,29 +128,52 @@ def test_colours_are_those_of_the_place_in_a_window_of_the_field() -> None:
     assert found[0, 1] > 160
 
 
-numbers = st.one_of(st.just(np.nan), st.floats(0, 255, width=32))
+COLOURS = arrays(np.float32, (4, 2, 3), elements=st.floats(0, 255, width=32), fill=st.nothing())
+UNKNOWN = arrays(np.bool_, (4, 2))
 
 
-@given(
-    known=arrays(np.float32, (3, 2, 3), elements=numbers),
-    seen=arrays(np.float32, (4, 2, 3), elements=numbers),
-    other=st.floats(0.01, 1000),
-)
+@given(known=COLOURS, seen=COLOURS, unknown=UNKNOWN, difference=st.floats(0.01, 1000))
 def test_likeness_is_above_nothing_and_whole_where_nothing_is_known(
-    known: np.ndarray, seen: np.ndarray, other: float
+    known: np.ndarray, seen: np.ndarray, unknown: np.ndarray, difference: float
 ) -> None:
-    found = likeness(known, seen, other)
+    known[unknown] = np.nan
+    found = likeness(known, seen, difference)
 
-    assert found.shape == (3, 4)
+    assert found.shape == (4,)
     assert (found > 0).all()
     assert (found <= 1).all()
-    unknown = np.isnan(known).any(2)[:, None] | np.isnan(seen).any(2)[None]
-    assert (found[unknown.all(2)] == 1).all()
-    assert likeness(seen, seen, other).diagonal() == pytest.approx(1)
+    assert (found[unknown.all(1)] == 1).all()
+    assert likeness(seen, seen, difference).tolist() == [1] * 4
 
 
-def test_two_at_the_given_difference_are_hardly_alike() -> None:
-    known, seen = (np.full((1, 2, 3), 128, np.float32) for _ in range(2))
-    seen[0, 0, 1] += 40
+def test_each_part_that_differs_counts() -> None:
+    known, seen = (np.full((3, 2, 3), 128, np.float32) for _ in range(2))
+    seen[1, 0, 1] += 40
+    seen[2, :, 1] += 40
 
-    assert likeness(known, seen, 40.0)[0, 0] == pytest.approx(np.exp(-1))
+    assert likeness(known, seen, 40.0).tolist() == pytest.approx([1, np.exp(-1), np.exp(-2)])
+
+
+def test_a_part_outside_of_the_picture_is_unknown() -> None:
+    _, frame = people(0, (100.0, RED))
+    low = np.array([[100, FIELD_PX[1] - 40, 140, FIELD_PX[1] + 60]], np.float32)
+
+    (found,) = worn(low, frame)
+
+    assert not np.isnan(found[0]).any()
+    assert np.isnan(found[1]).all()
+
+
+def test_pictures_that_are_missing_change_nothing_that_is_known() -> None:
+    frames = turning()
+    pairs = [{"detections": d, "frame": f if k % 3 else None} for k, (d, f) in enumerate(frames)]
+
+    found = drive(Association, pairs)
+
+    assert id_at(found[14], RED_LEFT) == id_at(found[2], RED_LEFT)
+    assert Association.frame.keep == "every"
+
+
+def test_a_negative_difference_is_refused() -> None:
+    with pytest.raises(SettingsError, match="colour_difference: must be at least 0"):
+        AssociationSettings(colour_difference=-1.0)
