@@ -14,6 +14,8 @@ from bench.match_kits import (
     ALL,
     LEFT_OUT,
     OF_MATCH,
+    RARE,
+    SAME_SHORTS,
     WAYS,
     Looked,
     by_kits_alone,
@@ -104,6 +106,22 @@ def test_within_a_picture_nobody_is_compared_with_their_own_kit() -> None:
     assert np.exp(found[18, 0]) < np.exp(found[16, 0]) < np.exp(found[0, 0])
 
 
+def test_each_sign_is_what_it_is_said_to_be() -> None:
+    one = match(5, pictures=2)
+    alone = [
+        replace(of.people, boxes=of.people.boxes[:1], known=np.full((1, 6), 3.0)) for of in one
+    ]
+    shirt, shorts = [120.0, 128, 128], [200.0, 128, 128]
+    worn = [np.array([[shirt, shorts]]), np.array([[shirt, [200, 128, 128 + SAME_SHORTS]]])]
+
+    (first, _) = signs(alone, worn)
+
+    many = np.log(np.exp(-1) + RARE)
+    assert first[0].tolist() == pytest.approx([many, many**2, np.log(1 + RARE), 0, 4])
+    worn[1][0, 1, 2] = 128 + 0.9 * SAME_SHORTS  # exp(-.81) is above ALIKE
+    assert signs(alone, worn)[0][0, 3] == 1
+
+
 def test_only_those_whom_the_context_is_sure_of_are_compared_with() -> None:
     people = match(3, pictures=3)
     faint = [replace(of.people, known=of.people.known - 20) for of in people]
@@ -155,6 +173,11 @@ def test_a_match_is_judged_by_the_confidence_of_the_others() -> None:
         (rows["b"]["recall"] + rows["c"]["recall"]) / 2, abs=1e-3
     )
     assert without[ALL]["recall"] < 0.2  # what the ROI said is noise here
+
+    # of a match without referees, whoever is told by the others' confidence is told falsely
+    people["a"] = [replace(of, referees=of.referees[:0]) for of in people["a"]]
+    (first, *_) = judged(people, ["b", "c"], by_match, 0.85, 0.9)
+    assert (first["data"], first["precision"]) == ("a", 0)
 
 
 def test_a_confidence_that_the_others_never_have_finds_nobody() -> None:
