@@ -6,10 +6,10 @@ what is seen there, a goalkeeper a kit that few pictures show, referees one that
 two or three times each. Below their shorts are knees, below a coach's are none.
 
 First, by kits alone: the people of each match of training and development are judged by weights
-that are fitted to the others. Then a logistic regression weighs that beside what a look tells. No
-detector was trained on the matches left out, on the one for development and on SEQUENCE, a
-SoccerNet folder: each is judged by weights and by a confidence of the others, at which referees
-have the precision of `--aim` there. A new match has less than those that were fitted.
+that are fitted to the others. Then kits, weighed as on the matches of the training, count beside
+what a look tells. No detector was trained on the matches left out, on the one for development and
+on SEQUENCE, a SoccerNet folder: each is judged by how both count, and by the confidence at which
+referees have the precision of `--aim`, in the others. A new match may have less.
 """
 
 import json
