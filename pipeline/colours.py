@@ -28,12 +28,12 @@ def colours(
     [[[137.0, 128.0, 128.0], [137.0, 128.0, 128.0]]]
     """
     found = np.full((len(boxes), len(parts), 3), np.nan)
+    sides = np.tile(picture.shape[1::-1], 2)
+    known = np.nan_to_num(boxes, posinf=0, neginf=0)  # a wrong box has no colours
     for part, where in enumerate(parts):
-        corners = parts_of(boxes, where)
-        starts, ends = np.maximum(corners[:, :2], 0), np.maximum(np.ceil(corners[:, 2:]), 0)
-        for row, ((x0, y0), (x1, y1)) in enumerate(
-            zip(starts.astype(int), ends.astype(int), strict=True)
-        ):
+        corners = np.clip(parts_of(known, where), 0, sides)
+        corners[:, 2:] = np.ceil(corners[:, 2:])
+        for row, (x0, y0, x1, y1) in enumerate(corners.astype(int)):
             patch = picture[y0:y1, x0:x1]
             if patch.size:
                 values = cv2.cvtColor(np.ascontiguousarray(patch), cv2.COLOR_RGB2LAB)

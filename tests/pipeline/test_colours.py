@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from pipeline.boxes import parts_of
 from pipeline.colours import BRIGHTNESS, SHORTS, TORSO, colours, differences
@@ -44,6 +45,18 @@ def test_a_shirt_and_shorts_are_told_apart() -> None:
 
     assert found[0, 1] > 160  # towards red
     assert found[1].tolist() == pytest.approx([241, 128, 128], abs=3)
+
+
+@pytest.mark.filterwarnings("error")
+@given(arrays(np.float32, (3, 4), elements=st.floats(width=32), fill=st.nothing()))
+def test_boxes_of_any_numbers_have_colours_or_none(boxes: np.ndarray) -> None:
+    picture = np.full((20, 10, 3), 128, np.uint8)
+    limit = np.float32(1e30)  # far beyond it the sides of a box overflow
+    boxes = np.where(np.abs(boxes) < limit, boxes, np.float32(np.nan))
+
+    found = colours(picture, boxes)
+
+    assert (np.isnan(found) | np.isin(found, (128, 137))).all()
 
 
 def test_of_no_boxes_there_are_no_colours() -> None:
