@@ -75,8 +75,8 @@ def test_nodes_that_one_depends_on_come_nearest_first_and_without_itself() -> No
     plan = load(GRAPHS / "tracking.yaml")
 
     assert before(plan, "dispatch") == [
-        "policy", "association", "verify", "kits", "roi_features", "closer", "capture",
-        "saliency", "downsample",
+        "policy", "association", "verify", "kits", "downsample", "roi_features", "closer",
+        "capture", "saliency",
     ]  # fmt: skip
     assert before(plan, "capture")[0] == "dispatch"
 
