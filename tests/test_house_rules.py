@@ -1,6 +1,7 @@
 """Rules for this repository that a test can check."""
 
 import ast
+import gc
 import re
 import subprocess
 import sys
@@ -60,6 +61,16 @@ def nodes(path: Path) -> tuple[ast.AST, ...]:
         if isinstance(node, kinds)
         or (isinstance(node, ast.Constant) and isinstance(node.value, str))
     )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def without_collections() -> Iterator[None]:
+    """Collect no garbage: the trees are a million objects, which each collection would visit."""
+    gc.disable()
+    yield
+    parsed.cache_clear()
+    nodes.cache_clear()
+    gc.enable()
 
 
 def test_the_top_level_is_fixed() -> None:

@@ -84,6 +84,7 @@ def test_the_roi_and_the_consumer_go_with_what_the_policy_is_asked_for() -> None
     check(SEEDS)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("changes", ELSEWHERE.values(), ids=ELSEWHERE)
 @pytest.mark.parametrize("seeds", [SEEDS[:1], pytest.param(SEEDS, marks=pytest.mark.slow)], ids=len)
 def test_threads_and_a_grey_level_of_noise_change_little(
