@@ -174,7 +174,7 @@ def test_a_match_is_judged_by_the_confidence_of_the_others() -> None:
     )
     assert without[ALL]["recall"] < 0.2  # what the ROI said is noise here
 
-    # of a match without referees, whoever is told by the others' confidence is told falsely
+    # a match without referees: at the confidence of the others every find is false
     people["a"] = [replace(of, referees=of.referees[:0]) for of in people["a"]]
     (first, *_) = judged(people, ["b", "c"], by_match, 0.85, 0.9)
     assert (first["data"], first["precision"]) == ("a", 0)

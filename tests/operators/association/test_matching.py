@@ -34,11 +34,12 @@ def test_the_remaining_detections_are_matched_across_classes():
     assert pairs.tolist() == [[1, 0]]
 
 
-def test_of_two_that_overlap_the_more_alike_is_matched():
+@pytest.mark.parametrize("same", [True, False])
+def test_of_two_that_overlap_the_more_alike_is_matched(same):
     tracks, found = boxes((0, 0, 10, 10)), boxes((1, 0, 11, 10), (4, 0, 14, 10))
 
     pairs = match(
-        tracks, found, np.ones((1, 2), bool), iou_gate=0.1, reach_px=NOT_SMALL[:1],
+        tracks, found, np.full((1, 2), same), iou_gate=0.1, reach_px=NOT_SMALL[:1],
         likeness=lambda _, seen: np.where(seen == 1, 1.0, 0.1).astype(np.float32),
     )  # fmt: skip
 
@@ -55,17 +56,6 @@ def test_no_likeness_forbids_a_match(same):
     )  # fmt: skip
 
     assert pairs.tolist() == [[0, 0]]
-
-
-def test_across_classes_colours_count_too():
-    tracks, found = boxes((0, 0, 10, 10)), boxes((1, 0, 11, 10), (4, 0, 14, 10))
-
-    pairs = match(
-        tracks, found, np.zeros((1, 2), bool), iou_gate=0.1, reach_px=NOT_SMALL[:1],
-        likeness=lambda _, seen: np.where(seen == 1, 1.0, 0.1).astype(np.float32),
-    )  # fmt: skip
-
-    assert pairs.tolist() == [[0, 1]]
 
 
 def test_overlap_below_the_gate_is_no_match():
