@@ -1,6 +1,7 @@
-"""The graph of many objects: everybody is shown in turn, and tracks get identities."""
+"""The graphs of many objects: everybody is shown in turn, and tracks get identities."""
 
 import numpy as np
+import pytest
 
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
@@ -12,14 +13,17 @@ from tests.graphs.test_swaps import looks_at
 FRAMES = 16
 
 
-def test_the_roi_shows_one_after_the_other_and_no_state_is_lost_in_a_swap() -> None:
+@pytest.mark.parametrize(("graph", "people"), [("many", 15), ("many_broadcast", 10)])
+def test_the_roi_shows_one_after_the_other_and_no_state_is_lost_in_a_swap(
+    graph: str, people: int
+) -> None:
     seen: dict[str, list[Message]] = {}
 
     def watch(output: str, message: Message) -> None:
         if isinstance(message, Tracks | RoiFeatures | Scanpath):
             seen.setdefault(output, []).append(message)
 
-    plan = load(graph_path("many"), Overlay(clock="lockstep"))
+    plan = load(graph_path(graph), Overlay(clock="lockstep"))
     with InlineRunner(plan, watch=watch) as run:
         states = looks_at(run)
         assert list(run.run(FRAMES)) == list(range(FRAMES))
@@ -31,6 +35,6 @@ def test_the_roi_shows_one_after_the_other_and_no_state_is_lost_in_a_swap() -> N
     shown = {int(i) for m in seen["roi_features.out"] if isinstance(m, RoiFeatures) for i in m.ids}
     once = max(len(m.ids) for m in seen["roi_features.out"] if isinstance(m, RoiFeatures))
     assert len(shown) > once > 0
-    assert len(tracks.ids) > 15
+    assert len(tracks.ids) > people
     np.testing.assert_array_equal(np.sort(tracks.boxes[:, -1], 0), np.sort(named.boxes[:, -1], 0))
     assert undeclared == {}
