@@ -38,3 +38,15 @@ def test_the_roi_shows_one_after_the_other_and_no_state_is_lost_in_a_swap(
     assert len(tracks.ids) > people
     np.testing.assert_array_equal(np.sort(tracks.boxes[:, -1], 0), np.sort(named.boxes[:, -1], 0))
     assert undeclared == {}
+
+
+def test_a_broadcast_s_people_are_told_apart_by_kits_colours_and_looks() -> None:
+    plan = load(graph_path("many_broadcast"))
+    association, saliency = plan.node("association").settings, plan.node("saliency").settings
+
+    read = {key: edge.source for key, edge in plan.inputs("association").items()}
+    assert read == {"detections": "kits", "frame": "downsample"}
+    assert plan.inputs("policy")["tracks"].source == "association"
+    # weak detections continue tracks, and begin none
+    assert saliency["class_confidence"]["player"] < association["birth_score"]
+    assert association["max_objects"] == plan.node("roi_features").settings["max_objects"]
