@@ -45,7 +45,12 @@ def cause_of(error: BaseException) -> str:
 
 
 def is_signal(error: BaseException) -> bool:
-    """Whether a signal to this process raised the exception, not the code that was running."""
+    """Whether a signal to this process raised the exception, not the code that was running.
+
+    Python 3.11 wraps what a `__set_name__` raises, so also a signal while a class is made.
+    """
+    if isinstance(error, RuntimeError) and error.__cause__ is not None:
+        return is_signal(error.__cause__)
     traceback = error.__traceback__
     if traceback is None:
         return False

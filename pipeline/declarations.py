@@ -9,7 +9,7 @@ from dataclasses import is_dataclass
 from typing import Any, get_args
 
 from pipeline import settings as checked
-from pipeline.cause import cause_of
+from pipeline.cause import cause_of, is_signal
 from pipeline.class_cache import cached_by_class
 from pipeline.commands import commands_of
 from pipeline.contract import Input, Keep, Operator, inputs_of, live_of, outputs_of, settings_of
@@ -40,6 +40,8 @@ def check_declarations(operator: type[Operator[Any, Any]]) -> None:
     except FoveaError as error:
         raise GraphError(str(error)) from error
     except Exception as error:
+        if is_signal(error):
+            raise
         raise GraphError(f"{where}: its declarations cannot be read: {cause_of(error)}") from error
 
 

@@ -112,3 +112,42 @@ def test_ctrl_c_while_a_text_is_executed_keeps_the_exit_status(tmp_path: Path) -
         )  # fmt: skip
 
     assert (ended.returncode, ended.stderr) == (130, b"")
+
+
+IN_DECLARATIONS = """
+import os, signal, sys
+from pipeline import signals
+from pipeline.declarations import check_declarations
+from tests.samples import Pass
+
+class Field:
+    def __set_name__(self, *_):
+        os.kill(os.getpid(), signal.SIGNAL)
+
+class Live:
+    def __get__(self, *_):
+        class Owner:
+            field = Field()
+        return ()
+
+class Own(Pass):
+    live = Live()
+
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what starts the tests may ignore it, as nohup does
+try:
+    with signals.raising():
+        check_declarations(Own)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_while_declarations_are_read_is_no_wrong_declaration(
+    number: signal.Signals,
+) -> None:
+    text = IN_DECLARATIONS.replace("SIGNAL", number.name)
+
+    ended = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
+
+    assert (ended.returncode, ended.stderr) == (128 + number, b"")
