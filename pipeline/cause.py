@@ -50,7 +50,7 @@ def is_signal(error: BaseException) -> bool:
     Python 3.11 wraps what a `__set_name__` raises, so also a signal while a class is made.
     """
     if isinstance(error, RuntimeError) and error.__cause__ is not None:
-        return is_signal(error.__cause__)
+        error = error.__cause__  # one step: an error may be its own cause
     traceback = error.__traceback__
     if traceback is None:
         return False

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.cause import is_signal
 from tests.pipeline.run.test_signals import SIGNALS, no_signal_ignored
 
 IN_A_CLASS = """
@@ -151,3 +152,10 @@ def test_a_signal_while_declarations_are_read_is_no_wrong_declaration(
     ended = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
 
     assert (ended.returncode, ended.stderr) == (128 + number, b"")
+
+
+def test_an_error_that_is_its_own_cause_is_no_signal() -> None:
+    error = RuntimeError("no")
+    error.__cause__ = error
+
+    assert not is_signal(error)
