@@ -1,8 +1,9 @@
 """The paper's Table 1 from reports of all tasks, for `python -m bench.tables --only all-tasks`.
 
 Takes what `fovea eval tracking`, `text` and `manipulation` wrote with `--report`, one or more of
-them, and writes a table as a result file (`all_tasks.json`) and as Markdown, with the paper's
-figures beside ours, and one plot of all budgets. The data are not the paper's: its footage, its
+them, or a table of strategies of `bench/results`, and writes a table as a result file
+(`all_tasks.json`) and as Markdown, with the paper's figures beside ours, and one plot of all
+budgets. The data are not the paper's: its footage, its
 street videos and its robot's demonstrations are others, so that rows are to be compared by what the
 strategies keep of full resolution.
 """
@@ -77,15 +78,47 @@ def write_table(given: Mapping[str, Path], target: str, out: Path) -> None:
 
 
 def read_report(path: Path) -> dict[str, Any]:
-    """Return a report; raises `SettingsError` for another file."""
+    """Return a report, or a table as one; raises `SettingsError` for another file."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise SettingsError(f"{path}: expected a report of fovea eval: {error}") from error
+    if isinstance(found, dict) and isinstance(found.get("columns"), list):
+        try:
+            found = found | {"rows": rows_of_table(found["columns"], found.get("rows"))}
+        except (AttributeError, TypeError, ValueError) as error:
+            raise SettingsError(f"{path}: expected a table of strategies: {error}") from error
     rows = found.get("rows") if isinstance(found, dict) else None
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise SettingsError(f"{path}: expected a report of fovea eval with rows")
     return dict(found)
+
+
+def rows_of_table(columns: list[Any], rows: Any) -> list[dict[str, Any]] | None:
+    """Return a table of targets, budgets and strategies as rows of a report; None for another.
+
+    The first figure of a cell is the IoU; bold, and what stands in brackets behind a name, is left
+    out.
+
+    >>> rows_of_table(["target", "budget", "pursuit (ships)"], [["ball", "1/16", "**.66**, .98"]])
+    [{'clip': 'all', 'target': 'ball', 'strategy': 'pursuit', 'budget': '1/16', 'iou': 0.66}]
+    """
+    if columns[:2] != ["target", "budget"] or not isinstance(rows, list):
+        return None
+    found = []
+    for target, budget, *cells in rows:
+        for column, cell in zip(columns[2:], cells, strict=True):
+            strategy = column.partition(" (")[0].replace(" ", "_")
+            iou = _figure(cell)
+            at = "1" if strategy == "full" else budget
+            told = {"clip": "all", "target": target, "strategy": strategy, "budget": at, "iou": iou}
+            found.append(told)
+    return found
+
+
+def _figure(cell: str) -> float | None:
+    text = cell.partition(",")[0].strip("*")
+    return float(text) if text else None
 
 
 def cells_of(task: str, report: Mapping[str, Any], target: str) -> list[Cell]:
@@ -169,6 +202,8 @@ def _told(value: float | None, measure: str, strategy: str, budget: str) -> str:
 
 
 def _data(report: Mapping[str, Any]) -> str:
+    if "columns" in report:
+        return f"{report.get('data')} (table {report.get('id')})"
     clips = report.get("clips") or report.get("trials")
     count = len(clips) if isinstance(clips, list) else clips
     return f"{count} clips or trials of {report.get('graph')}, seed {report.get('seed')}"

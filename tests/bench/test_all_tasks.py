@@ -13,7 +13,7 @@ pytest.importorskip("matplotlib")
 from bench import tables
 from bench.all_tasks import write_table
 from bench.results.table import read_table
-from bench.tables import main
+from bench.tables import RESULTS, main
 
 TRACKING = {
     "commit": "1234567890", "graph": "tracking.yaml", "clips": ["a", "b"], "seed": 0,
@@ -98,7 +98,29 @@ def test_one_task_alone_is_a_table_too(tmp_path: Path) -> None:
     assert "ball" not in text
 
 
+def test_a_table_of_strategies_is_taken_in_place_of_a_report(tmp_path: Path) -> None:
+    shipped = RESULTS / "whole_pitch_short.json"
+
+    write_table({"tracking": shipped}, "ball", tmp_path)
+
+    table = json.loads((tmp_path / "all_tasks.json").read_text())
+    assert table["rows"] == json.loads((RESULTS / "all_tasks.json").read_text())["rows"][:3]
+    assert table["data"].endswith("(table whole_pitch_short)")
+
+
 OTHER_FILES = [
+    (
+        {"tracking": {"columns": ["target", "budget", 1], "rows": [["ball", "1/8", ".5"]]}},
+        "of strategies",
+    ),
+    (
+        {"tracking": {"columns": ["target", "budget"], "rows": ["ball"]}},
+        "expected a table of strategies",
+    ),
+    (
+        {"tracking": {"columns": ["figure"], "rows": []}},
+        "expected a report of fovea eval with rows",
+    ),
     ({"text": [1]}, "expected a report of fovea eval with rows"),
     ({"text": TRACKING}, "--text: expected rows of that task"),
     ({"manipulation": TEXT}, "--manipulation: expected rows of that task"),
