@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import click
 import cv2
@@ -30,7 +30,7 @@ from bench.overlap import best_of
 from bench.policy_rules import RULES, Rule, without
 from bench.prototype import table
 from bench.tracking.classes import planned
-from bench.tracking.intervals import METHOD, Block, difference, mean
+from bench.tracking.intervals import METHOD, Block, add, difference, mean
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
@@ -105,6 +105,9 @@ class Watch:
         return truth.boxes[rows]
 
 
+Targets: TypeAlias = dict[tuple[str, int], Watch]  # clip and object -> what became of it
+
+
 def rules_of(plan: Plan) -> Mapping[str, Rule]:
     """Return the rules of a graph's policy by what they say; none of one without such."""
     classes = {node.name: node.operator.partition(":")[2] for node in plan.nodes}
@@ -155,7 +158,7 @@ def run(plan: Plan, rule: Rule | None, watch: Watch, frames: int) -> None:
     watch.judge()
 
 
-def rows(found: Mapping[tuple[str, str, str], Mapping[str, Watch]]) -> Iterator[dict[str, Any]]:
+def rows(found: Mapping[tuple[str, str, str], Targets]) -> Iterator[dict[str, Any]]:
     """Yield the figures of each policy, target and rule, over the targets of that kind."""
     for (policy, kind, name), clips in found.items():
         usual = found[policy, kind, ALL]
@@ -170,7 +173,7 @@ def rows(found: Mapping[tuple[str, str, str], Mapping[str, Watch]]) -> Iterator[
         yield row | {"targets": len(clips)}
 
 
-def beside(found: Mapping[tuple[str, str, str], Mapping[str, Watch]]) -> Iterator[dict[str, Any]]:
+def beside(found: Mapping[tuple[str, str, str], Targets]) -> Iterator[dict[str, Any]]:
     """Yield, of each target, the figures of each policy with all rules, above the first of them."""
     whole = {(policy, kind): clips for (policy, kind, name), clips in found.items() if name == ALL}
     first = next(iter(whole))[0]
@@ -208,13 +211,12 @@ def share_on(overlaps: Sequence[float]) -> float | str:
     return round(float((np.array(overlaps) > ON).mean()), 3) if overlaps else ""
 
 
-def blocks(clips: Mapping[str, Watch], figure: str) -> dict[str, Block]:
-    """Return each clip's sum of a figure."""
-    return {
-        clip: Block(total=sum(w.values[figure]), frames=len(w.values[figure]), starts=1)
-        for clip, w in clips.items()
-        if w.values[figure]
-    }
+def blocks(targets: Targets, figure: str) -> dict[str, Block]:
+    """Return each clip's sum of a figure over its targets, which depend on one another."""
+    found: dict[str, Block] = {}
+    for (clip, _), watch in targets.items():
+        add(found, clip, watch.values[figure])
+    return found
 
 
 def worded(middle: float, low: float, high: float) -> str:
@@ -276,7 +278,7 @@ def main(
             else rules_of(planned(graph, changes, policy=POLICIES[policy], source=source))
         )
         cases += [(policy, name, rule) for name, rule in {ALL: None, **rules}.items()]
-    found: dict[tuple[str, str, str], dict[str, Watch]] = {}
+    found: dict[tuple[str, str, str], Targets] = {}
     seeds = range(first_clip, first_clip + clips)
     worlds = {f"clip {seed}": [(*changes, f"capture.seed={seed}")] for seed in seeds}
     if source:
@@ -292,10 +294,10 @@ def main(
                 plan = planned(graph, laid, policy=POLICIES[policy], source=source)
                 run(plan, rule, watch, frames)
                 of_rule = found.setdefault((policy, watch.kind, name), {})
-                if before := of_rule.get(f"{clip}, {watch.object_id}"):
+                if before := of_rule.get((clip, watch.object_id)):
                     before.join(watch)
                 else:
-                    of_rule[f"{clip}, {watch.object_id}"] = watch
+                    of_rule[clip, watch.object_id] = watch
     if not found:
         raise RunError(f"--targets: expected what the first frames show, got {targets[:80]!r}")
     result, policies_beside = list(rows(found)), list(beside(found))

@@ -45,6 +45,10 @@ PLACES = {
     "providers": Place(
         section="Time of each part", order=40, title="Networks on ONNX Runtime's providers"
     ),
+    "many": Place(
+        section="Tracking under a pixel budget", order=34,
+        title="Tracks of people and of the ball with and without colours: means over clips",
+    ),
     "consumer_gain": Place(
         section="Tracking under a pixel budget", order=33,
         title="What a window gains the tracker, by the target's distance from its middle",

@@ -15,6 +15,13 @@ from bench.results.table import ResultError
 
 T = TypeVar("T")
 LONGEST_INTERVAL = 2
+INTERVAL = "_ci95"  # behind the name of a figure
+# graphs were renamed in commit 43c4367; reports of these earlier commits name them as they were
+BEFORE_RENAMING = frozenset({
+    "2f602782", "330d447d", "47a488af", "4f41e6c4", "7f307550", "9b96c832", "ad8546b9", "0f1ec150",
+    "e0550d11",
+})  # fmt: skip
+TODAY = {"tracking": "learned", "broadcast": "tracking"}  # a graph's name then -> today
 LABELS = {contestant.module: contestant.label for contestant in CONTESTANTS}
 
 
@@ -138,7 +145,21 @@ def read_report(path: Path, values: Any) -> Report:
     bench = "fuzz" if origin.fuzz else origin.bench or path.stem
     if bench in SHAPES:
         _convert(path, values, SHAPES[bench])
+    if origin.commit[:8] in BEFORE_RENAMING:
+        values = {**values, "graph": renamed(values.get("graph"))}
     return Report(path=path, bench=bench, origin=origin, values=values)
+
+
+def renamed(graph: Any) -> Any:
+    """Return what a report calls its graph, with the name that the graph has today.
+
+    >>> renamed("graphs/tracking.yaml"), renamed("graphs/text.yaml")
+    ('graphs/tracking.yaml (today graphs/learned.yaml)', 'graphs/text.yaml')
+    """
+    if not isinstance(graph, str):
+        return graph
+    name = graph.rpartition("/")[2].removesuffix(".yaml")
+    return f"{graph} (today {graph.replace(name, TODAY[name])})" if name in TODAY else graph
 
 
 def _convert(path: Path, values: Any, kind: type[T]) -> T:
@@ -296,6 +317,22 @@ def _strategies(report: Report) -> list[str]:
     return _values(replace(report, values={**report.values, "rows": rows}))
 
 
+def _tracks(report: Report) -> list[str]:
+    """Return Markdown of tracks: means over clips with their intervals; clips stay in the file."""
+    means = [_of_interval(row) for row in report.values.get("means", ())]
+    return _values(replace(report, values={**report.values, "means": [], "rows": means}))
+
+
+def _of_interval(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Put the interval of a figure beside it, in one cell."""
+    found: dict[str, Any] = {}
+    for key, value in row.items():
+        if not key.endswith(INTERVAL):
+            interval = row.get(f"{key}{INTERVAL}")
+            found[key] = spread(value, *interval) if interval else value
+    return found
+
+
 def _of_strategy(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in row.items():
@@ -313,5 +350,5 @@ def _of_strategy(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 OVERVIEWS: Mapping[str, Callable[[Sequence[Report]], str]] = {"loop": _loops}
 FORMS: Mapping[str, Callable[[Report], list[str]]] = {
     "follow": _follow, "soak": _soak, "watching": _watching, "bus": _bus,
-    "reading": _strategies, "shirts": _strategies, "manipulation": _strategies,
+    "many": _tracks, "reading": _strategies, "shirts": _strategies, "manipulation": _strategies,
 }  # fmt: skip

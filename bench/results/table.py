@@ -39,6 +39,7 @@ class ResultTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     section: str  # one of SECTIONS
     order: int  # position within the section
     title: str
+    out_of_date: str = ""  # what has been replaced since
     source: str  # "README at commit …" for transcribed figures, or the name of a bench's file
     command: str = ""  # what measures it
     data: str = ""
@@ -103,6 +104,8 @@ def render(found: ResultTable, folder: Path) -> str:
         "Reference": found.reference,
     }
     parts = [f"### {found.title}", lines(facts)]
+    if found.out_of_date:
+        parts.insert(1, f"**Out of date:** {found.out_of_date}")
     if found.rows:
         parts.append(table(found.columns, [[cell(c) for c in row] for row in found.rows]))
     plot = found.plot or f"{found.id}.png"

@@ -169,6 +169,7 @@ def score_many(options: Options) -> None:
     rows_of_clips = many(options, clips, protocol)
     found = {
         **facts(),
+        "bench": "many",
         "graph": Path(protocol.graph).name,
         "changes": list(options.changes),
         "clips": [str(clip) for clip in clips],

@@ -95,14 +95,29 @@ def test_of_a_class_any_object_may_be_followed_but_one_counts_in_both_figures(
 
 
 def test_what_is_lost_without_a_rule_is_told_beside_its_figure() -> None:
-    usual = {"1": watched(box=(10, 10, 20, 20), window=(0, 0, 40, 40))}
-    worse = {"1": watched(box=(10, 10, 20, 15), window=(0, 0, 40, 40))}
+    usual = {("a", 1): watched(box=(10, 10, 20, 20), window=(0, 0, 40, 40))}
+    worse = {("a", 1): watched(box=(10, 10, 20, 15), window=(0, 0, 40, 40))}
 
     found = list(rows({("learned", "ball", ALL): usual, ("learned", "ball", "a rule"): worse}))
 
     assert [row[FIGURES[1]] for row in found] == [0.5, 0.25]
     assert found[1][f"{FIGURES[1]}: gained without"] == "-0.250"
     assert found[1][f"{FIGURES[0]}: gained without"] == "+0.000"
+
+
+def test_players_of_one_clip_depend_on_one_another_and_give_no_interval() -> None:
+    usual = {("a", k): watched(box=(10, 10, 20, 20), window=(0, 0, 40, 40)) for k in range(9)}
+    worse = {("a", k): watched(box=(10, 10, 20, 15), window=(0, 0, 40, 40)) for k in range(9)}
+    apart = (
+        {(str(k), k): watch for (_, k), watch in usual.items()},
+        {(str(k), k): watch for (_, k), watch in worse.items()},
+    )
+
+    for (all_rules, one_less), ends in (((usual, worse), 0), (apart, 1)):
+        found = list(rows({("a", "ball", ALL): all_rules, ("a", "ball", "a rule"): one_less}))
+
+        assert found[1][f"{FIGURES[1]}: gained without"].count("..") == ends
+        assert found[1]["targets"] == 9
 
 
 def test_several_objects_of_a_class_are_asked_for_one_by_one() -> None:
@@ -125,8 +140,8 @@ def test_several_objects_of_a_class_are_asked_for_one_by_one() -> None:
 
 
 def test_a_policy_stands_beside_the_first_one_paired_by_the_target() -> None:
-    half = {"1": watched(box=(10, 10, 20, 20), window=(0, 0, 15, 40))}
-    full = {"1": watched(box=(10, 10, 20, 20), window=(0, 0, 40, 40))}
+    half = {("a", 1): watched(box=(10, 10, 20, 20), window=(0, 0, 15, 40))}
+    full = {("a", 1): watched(box=(10, 10, 20, 20), window=(0, 0, 40, 40))}
     runs = {("learned", "ball", ALL): half, ("learned", "ball", "a rule"): full}
 
     found = list(beside({**runs, ("pursuit", "ball", ALL): full}))
@@ -172,10 +187,10 @@ def test_targets_that_no_clip_shows_are_refused() -> None:
 
 def test_runs_from_several_starts_of_a_clip_are_one_target() -> None:
     inside = watched(box=(0, 0, 10, 10), window=(0, 0, 20, 20))
-    (alone,) = beside({("learned", "ball", ALL): {"the source, -1": inside}})
+    (alone,) = beside({("learned", "ball", ALL): {("the source", -1): inside}})
     inside.join(watched(box=(0, 0, 10, 10), window=(50, 50, 60, 60)))
 
-    (row,) = beside({("learned", "ball", ALL): {"the source, -1": inside}})
+    (row,) = beside({("learned", "ball", ALL): {("the source", -1): inside}})
 
     assert row["share in the ROI"] == alone["share in the ROI"] / 2
     assert (row["targets"], row["runs"]) == (1, 2)
