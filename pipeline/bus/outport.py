@@ -20,12 +20,13 @@ from pipeline import codec
 from pipeline.bus.envelope import HANDSHAKE, MESSAGE, NOTHING, Envelope, first_of
 from pipeline.bus.ledger import EdgeAccount
 from pipeline.bus.local_transport import LocalSender, Target
-from pipeline.bus.pool import DONE, KEPT, SPARE, Lease, PoolWriter, SlotRef
+from pipeline.bus.pool import ALIGN_BYTES, DONE, KEPT, SPARE, Lease, PoolWriter, SlotRef
 from pipeline.bus.session import Sender
 from pipeline.errors import MessageError, PoolExhausted
 from pipeline.messages import Header, Message
 
 INLINE_BYTES = 8192  # arrays up to this size are sent inside the descriptor
+MOST_PACKET_BYTES = 160 << 10  # below what a socket takes as one packet where nothing is tuned
 INSIST_S = 5.0  # by then a frozen reader has been replaced
 PROBE_S = 0.5  # a reader without credit for this long may be waiting for a lost message
 MOST_AHEAD = 2  # of the exposure in hand and of the next one
@@ -171,7 +172,8 @@ class OutPort:
     def send(self, message: Message | None, header: Header) -> None:
         """Publish a message, or with None the notice that this exposure has none.
 
-        Raises `PoolExhausted`, when no slot is free, before anything is counted.
+        Raises `PoolExhausted`, when no slot is free, and `MessageError` for a message that no
+        reader on this host could receive, before anything is counted.
         """
         for reader in self.readers:
             if reader.account.writer_epoch > self._epoch:
@@ -195,14 +197,20 @@ class OutPort:
             (self._leases if lease in self._leases else self._ahead).remove(lease)
             self._pool.publish(lease, self._ordinal + 1)
         self.discard()  # loans of this handler call that no message used
+        payload = self._wrap(MESSAGE, lease.ref() if lease else None, body, self._ordinal + 1)
+        if len(payload) > MOST_PACKET_BYTES and any(reader.address for reader in self.readers):
+            raise MessageError(
+                f"{self._message.__name__}: expected at most {MOST_PACKET_BYTES} bytes beside its "
+                f"large arrays, got {len(payload)}"
+            )
         self._count()
-        self._send(self._wrap(MESSAGE, lease.ref() if lease else None, body), (message,))
+        self._send(payload, (message,))
         if lease is not None:
             self._pool.prepare()
 
     def give_back(self, message: Message | None) -> None:
         """Release the slot lent ahead that holds a message which is not sent."""
-        arrays = [a for a in vars(message).values() if isinstance(a, np.ndarray)] if message else []
+        arrays = _arrays(message)
         for lease in list(self._ahead):
             if any(lease.offset_of(array) is not None for array in arrays):
                 self._ahead.remove(lease)
@@ -270,21 +278,24 @@ class OutPort:
             time.sleep(0.0005)
             full = self._sender.send(payload, full)
 
-    def _wrap(self, kind: int, ref: SlotRef | None, body: Any) -> bytes:
-        return Envelope.render(kind, self._ordinal, self._epoch, self._fingerprint, ref, body)
+    def _wrap(self, kind: int, ref: SlotRef | None, body: Any, ordinal: int = -1) -> bytes:
+        number = self._ordinal if ordinal < 0 else ordinal
+        return Envelope.render(kind, number, self._epoch, self._fingerprint, ref, body)
 
     def _room_for(self, message: Message) -> Lease | None:
-        """Return the slot that holds the message, or one for arrays that are elsewhere."""
-        arrays = [a for a in vars(message).values() if isinstance(a, np.ndarray)]
-        big = [a for a in arrays if a.nbytes > INLINE_BYTES]
+        """Return a slot for all large arrays: one that holds some of them, or another.
+
+        A message is in one slot: what was lent in a second one is copied.
+        """
+        big = [a for a in _arrays(message) if a.nbytes > INLINE_BYTES]
         for lease in (*self._leases, *self._ahead):
-            for array in big:
-                if lease.offset_of(array) is not None:
-                    return lease
+            elsewhere = [a for a in big if lease.offset_of(a) is None]
+            room_bytes = lease.pool.slot_bytes - lease.used_bytes
+            if len(elsewhere) < len(big) and _room_bytes(elsewhere) <= room_bytes:
+                return lease
         if not big:
             return None
-        nbytes = sum(a.nbytes + 64 for a in big)
-        lease = self._pool.lease(nbytes)
+        lease = self._pool.lease(_room_bytes(big))
         self._leases.append(lease)
         return lease
 
@@ -294,6 +305,27 @@ class OutPort:
         for reader in self.readers:
             claim = min(claim, reader.claim(ordinal, self._ordinal))
         return claim
+
+
+def _arrays(message: Message | None) -> list[NDArray[Any]]:
+    """Return the arrays of a message, those in tuples and dataclasses, too."""
+    found: list[NDArray[Any]] = []
+    level: list[Any] = [message]
+    while level:  # a hot path: no generator, no call for a field
+        below: list[Any] = []
+        for value in level:
+            if isinstance(value, np.ndarray):
+                found.append(value)
+            elif isinstance(value, tuple):
+                below += value
+            elif hasattr(value, "__dataclass_fields__") and not isinstance(value, Header):
+                below += [getattr(value, name) for name in value.__dataclass_fields__]
+        level = below
+    return found
+
+
+def _room_bytes(arrays: Sequence[NDArray[Any]]) -> int:
+    return sum(array.nbytes + ALIGN_BYTES for array in arrays)
 
 
 def _place(lease: Lease | None, array: NDArray[Any]) -> bytes | int:

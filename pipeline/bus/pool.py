@@ -25,6 +25,7 @@ from pipeline.errors import MessageError, PoolExhausted, RunError
 from pipeline.private_folder import PrivateFolder
 
 AHEAD_BYTES = 1 << 20
+ALIGN_BYTES = 64  # an array in a slot begins at a multiple of these
 KEPT, SPARE, DONE = 0, 1, 2  # claims of readers on a slot
 
 
@@ -50,7 +51,7 @@ class Lease:
         """Return the next part of the slot as an array; None when it does not fit."""
         kind = np.dtype(dtype)
         nbytes = math.prod(shape) * kind.itemsize
-        first = -(-self.used_bytes // 64) * 64
+        first = -(-self.used_bytes // ALIGN_BYTES) * ALIGN_BYTES
         if first + nbytes > self.pool.slot_bytes:
             return None
         self.used_bytes = first + nbytes
