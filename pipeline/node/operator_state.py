@@ -118,7 +118,10 @@ def _looked(operator: Operator[Any, Any]) -> dict[str, tuple[int, bool]]:
     for name, value in {**_of_classes(type(operator)), **vars(operator)}.items():
         if name not in _OWN:
             look = Fingerprint()
-            found[name] = look.of(value), look.opaque
+            try:
+                found[name] = look.of(value), look.opaque
+            except Exception:  # its class may do anything, and another thread may change it
+                found[name] = id(value), True
     return found
 
 

@@ -185,6 +185,28 @@ def test_an_object_that_cannot_be_looked_into_is_named_as_such() -> None:
     ]  # fmt: skip
 
 
+class Changing(dict[int, int]):
+    """As a dictionary that another thread fills while it is looked at."""
+
+    def items(self) -> Any:
+        raise RuntimeError("dictionary changed size during iteration")
+
+
+class Unwritable(float):
+    def __repr__(self) -> str:
+        raise ValueError("no text")
+
+
+@pytest.mark.parametrize(
+    "value", [Changing({1: 2}), Unwritable(1), [Changing()]], ids=["changing", "unwritable", "list"]
+)
+def test_what_fails_while_it_is_looked_at_is_named_and_ends_nothing(value: Any) -> None:
+    operator: Any = Forgetful(WorkSettings())
+    operator.value = value
+
+    assert UndeclaredState(operator).names() == ["value (cannot be looked into)"]
+
+
 def test_what_belongs_to_the_process_is_no_state(tmp_path: Path) -> None:
     operator: Any = kept()
     ours, theirs = socket.socketpair()
