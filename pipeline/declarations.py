@@ -52,6 +52,8 @@ def _check_settings(operator: type[Operator[Any, Any]], where: str) -> None:
     try:
         checked.check_type(settings)
     except Exception as error:
+        if is_signal(error):
+            raise
         what = f"{where}: its settings {settings.__qualname__} cannot be read"
         raise GraphError(f"{what}: {cause_of(error)}") from error
 

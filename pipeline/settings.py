@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from pipeline.cause import cause_of
+from pipeline.cause import cause_of, is_signal
 from pipeline.class_cache import cached_by_class
 from pipeline.errors import FoveaError, SettingsError
 from pipeline.text import WHOLE_HIGH, WHOLE_LOW, harmless
@@ -53,6 +53,8 @@ def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
     except FoveaError:
         raise
     except Exception as error:  # the dataclass's own code failed on its values
+        if is_signal(error):
+            raise
         raise WrongSetting(f"{where}: {cls.__name__} broke: {cause_of(error)}") from error
     return built
 

@@ -154,6 +154,59 @@ def test_a_signal_while_declarations_are_read_is_no_wrong_declaration(
     assert (ended.returncode, ended.stderr) == (128 + number, b"")
 
 
+IN_SETTINGS = """
+import os, signal, sys
+from dataclasses import dataclass
+from pipeline import Operator, signals
+from pipeline.declarations import check_declarations
+from pipeline.settings import build
+
+class Field:
+    def __set_name__(self, *_):
+        os.kill(os.getpid(), signal.SIGNAL)
+
+def make_a_class():
+    class Owner:
+        field = Field()
+
+class Text:
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source, handler):
+        if "WHEN" == "checked":
+            make_a_class()
+        return handler(str)
+
+@dataclass(frozen=True)
+class Settings:
+    text: Text = ""
+
+    def __post_init__(self):
+        make_a_class()
+
+class Own(Operator[Settings, None]): ...
+
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what starts the tests may ignore it, as nohup does
+try:
+    with signals.raising():
+        check_declarations(Own)
+        build(Settings, {}, "own")
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.mark.parametrize("when", ["checked", "built"])
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_while_settings_are_read_is_no_wrong_setting(
+    number: signal.Signals, when: str
+) -> None:
+    text = IN_SETTINGS.replace("SIGNAL", number.name).replace("WHEN", when)
+
+    ended = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
+
+    assert (ended.returncode, ended.stderr) == (128 + number, b"")
+
+
 def test_an_error_that_is_its_own_cause_is_no_signal() -> None:
     error = RuntimeError("no")
     error.__cause__ = error
