@@ -26,11 +26,11 @@ from drivers.usb.board_settings import (
 from drivers.usb.capabilities import CaptureMode
 from drivers.usb.clock import BoardClock
 from drivers.usb.connection import Connection
-from drivers.usb.errors import LinkError, NoAnswer, NoUsbMemory, Stalled, Unplugged
+from drivers.usb.errors import BadBlock, LinkError, NoAnswer, NoUsbMemory, Stalled, Unplugged
 from drivers.usb.frame_header import FrameFlag, FrameHeader, Stream
 from drivers.usb.losses import Losses
 from drivers.usb.receiver import Receiver
-from drivers.usb.requests import Answer, Schedule
+from drivers.usb.requests import MOST_ENTRIES, Answer, Schedule
 from drivers.usb.silence import Silence
 from pipeline.boxes import centres, roi_window
 from pipeline.errors import DriverError, SettingsError
@@ -141,13 +141,14 @@ class Session:
     # commands
 
     def upload(self, schedule: RoiSchedule) -> None:
-        """Send a schedule, and count what becomes of it."""
+        """Send a schedule, and count what becomes of it; a refused one is not sent again."""
         with self._lock:
-            self._newest = schedule
+            before, self._newest = self._newest, schedule
             try:
                 self._send(schedule)
-            except Stalled:
+            except (Stalled, BadBlock):
                 self.counts["refused"] += 1
+                self._newest = before
             except LinkError as error:  # the reader finds the link broken, and sends it again
                 log.debug("a schedule was not sent: %s", error)
 
@@ -160,6 +161,8 @@ class Session:
         windows = rows_of(schedule.windows)[max(0, -first) :, 0]
         if not len(windows) or self._connection is None:
             return
+        if len(windows) > MOST_ENTRIES:
+            raise BadBlock(f"schedule: expected at most {MOST_ENTRIES} windows, got {len(windows)}")
         corners = [roi_window(c, self.geometry)[:2] for c in centres(windows.astype(np.float32))]
         self._schedule_id += 1
         self._schedules[self._schedule_id] = schedule.header.seq
@@ -336,11 +339,17 @@ class Session:
             try:
                 self.begin()
                 if self._newest is not None:
-                    self._send(self._newest)
+                    self._send_again(self._newest)
             except BaseException:
                 opened, self._connection = self.connection, None
                 opened.close()  # else the next attempt finds the board in use
                 raise
+
+    def _send_again(self, schedule: RoiSchedule) -> None:
+        try:
+            self._send(schedule)
+        except (Stalled, BadBlock):  # the board may have other limits than before
+            self.counts["refused"] += 1
 
 
 def _flat(memory: NDArray[Any]) -> NDArray[np.uint8]:

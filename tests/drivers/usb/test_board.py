@@ -11,7 +11,8 @@ import pytest
 
 from drivers.sensor import Mode
 from drivers.usb.connection import Connection
-from drivers.usb.errors import Unplugged
+from drivers.usb.errors import Stalled, Unplugged
+from drivers.usb.requests import Acknowledgement, Schedule
 from drivers.virtual_board.faults import Fault
 from pipeline.errors import DriverError, FoveaError, PoolExhausted, SettingsError
 from tests.drivers.contract import (
@@ -161,6 +162,58 @@ def test_an_unplugged_board_is_found_again_in_the_same_stream_with_its_schedule(
     assert {e.header.stream for e in after} == {header.stream}
     assert {(e.roi.window, e.roi.command_seq) for e in after[1:]} == {(window, 19)}
     assert subject.summary()["link"]["outages"] == 1
+
+
+@pytest.mark.parametrize("rows", [30, 961, 1500, 70_000])
+def test_a_refused_schedule_is_counted_and_not_sent_to_a_board_that_is_back(
+    monkeypatch: pytest.MonkeyPatch, rows: int
+) -> None:
+    schedule, stalls = Connection.schedule, rows == 30
+
+    def refuses(self: Connection, given: Schedule) -> Acknowledgement:
+        if stalls and len(given.corners) == rows:
+            raise Stalled("the board refused it")
+        return schedule(self, given)
+
+    monkeypatch.setattr(Connection, "schedule", refuses)
+    subject = board(virtual={"faults": [{"kind": "unplug", "exposure": 20, "seconds": 0.05}]})
+    started(subject)
+    stream, window = read(subject).header.stream, (0, 0, 80, 48)
+    seen = [read(subject) for _ in range(14)]
+    subject.set_rois(command(stream, made_from=13, first=16, windows=[window] * 28))
+    subject.set_rois(command(stream, made_from=14, first=17, windows=[(80, 48, 160, 96)] * rows))
+
+    seen += [read(subject) for _ in range(15)]
+
+    subject.close()
+    assert subject.summary()["refused_commands"] == 1
+    assert subject.summary()["link"]["outages"] == 1
+    assert {(e.roi.window, e.roi.command_seq) for e in seen[-8:]} == {(window, 13)}
+
+
+def test_a_board_that_is_back_and_refuses_the_schedule_goes_on_without_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    schedule, sent = Connection.schedule, []
+
+    def refuses_again(self: Connection, given: Schedule) -> Acknowledgement:
+        sent.append(given)
+        if len(sent) > 1:
+            raise Stalled("the board refused it")
+        return schedule(self, given)
+
+    monkeypatch.setattr(Connection, "schedule", refuses_again)
+    subject = board(virtual={"faults": [{"kind": "unplug", "exposure": 20, "seconds": 0.05}]})
+    started(subject)
+    stream = read(subject).header.stream
+    subject.set_rois(command(stream, made_from=0, first=16, windows=[(0, 0, 80, 48)] * 20))
+
+    seen = [read(subject) for _ in range(28)]
+
+    subject.close()
+    assert len(sent) == 2
+    assert (seen[-1].roi.command_seq, seen[-1].header.seq > 20) == (-1, True)
+    assert subject.summary()["refused_commands"] == 1
 
 
 def test_a_board_that_is_back_but_fails_to_start_is_opened_again(
