@@ -114,6 +114,11 @@ class OutPort:
         self._pool.resize(slots)
         self.handshake()
 
+    @property
+    def newest(self) -> int:
+        """The ordinal of the latest message that was sent."""
+        return self._ordinal
+
     def let_go(self) -> None:
         """While another instance sends: release the slots that no reader needs any more."""
         self._pool.let_go()

@@ -94,6 +94,7 @@ class SourceRunner(OperatorRunner):
         begun = time.monotonic_ns()
         self.busy(begun, int(self.account.last_seq))
         frames: Answers | None = None
+        before = {name: port.newest for name, port in self.outs.items()}
         try:
             frames = self.executor.produce()
             if frames is None:
@@ -103,7 +104,8 @@ class SourceRunner(OperatorRunner):
             for name, port in self.outs.items():
                 port.give_back((frames or {}).get(name))
                 port.discard()
-                port.overrun()
+                if port.newest == before[name]:  # else this output had room, and was sent
+                    port.overrun()
         self.idle()
         return True
 
@@ -198,7 +200,8 @@ def absence_ns(until_s: float, before_ns: int, now_ns: int) -> int:
 
 def fold(digest: Any, message: Message) -> None:
     """Add a command's content, without its times, to a running hash."""
-    digest.update(message.header.seq.to_bytes(8, "little", signed=True))
+    seq = message.header.seq & (1 << 64) - 1  # whatever a wrong message says
+    digest.update(seq.to_bytes(8, "little"))
     for name, value in vars(message).items():
         if name != "header":
             plain = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
