@@ -47,7 +47,7 @@ class Account:
     """The messages of one output."""
 
     recorded: int = 0
-    dropped: int = 0  # the queue was full
+    dropped: int = 0  # the queue was full, or the disk
     gaps: int = 0  # frames between two recorded ones of a stream
     refused: int = 0  # could not be encoded
     last: tuple[str, int] = field(default=("", -1))
@@ -83,11 +83,13 @@ class Recorder:
         self._kept: dict[str, Item] = {}  # the newest of each fact, for the next file
         self._picture = ("", (0, 0))  # the output that boxes are drawn on, and its size
         self._ring: deque[list[Item]] = deque()
-        self._ring_bytes = self._bytes = 0
+        self._ring_bytes = self._bytes = self._seen_bytes = 0
         self._room, self._ended = threading.Condition(), False
         self.accounts: dict[str, Account] = {}
         self.files: list[Path] = []
         self.failure = ""
+        self._unwritten: Counter[str] = Counter()  # by output: messages of the chunk in progress
+        self._in_hand = ""  # the output of the message that is being written
         self._writer: McapWriter | None = None if self._limits.ring_s else self._begin()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
@@ -149,6 +151,7 @@ class Recorder:
                     self._write(items)
                 if self._writer is not None:
                     self._writer.look()
+                    self._note_chunk(self._writer)
             if self._writer is not None:
                 self._end(self._writer)
         except Exception as error:  # whatever ends this thread, writers must not wait for it
@@ -158,6 +161,9 @@ class Recorder:
                 for queued in self._waiting:
                     if isinstance(queued, _Queued):
                         self.accounts[queued.output].dropped += 1
+                for output in (*self._unwritten.elements(), *filter(None, [self._in_hand])):
+                    self.accounts[output].recorded -= 1
+                    self.accounts[output].dropped += 1
                 self._waiting.clear()
                 self._room.notify_all()
             if self._writer is not None:
@@ -197,6 +203,7 @@ class Recorder:
             topic = foxglove.topic(f"{topic_of(queued.output)}/boxes", foxglove.ANNOTATIONS)
             items.append(Item(topic, queued.at_ns, header.seq, on_it))
         account.count(header.stream, header.seq)
+        self._in_hand = "" if self._limits.ring_s else queued.output
         return items
 
     def _find_picture(self, queued: "_Queued") -> None:
@@ -217,10 +224,21 @@ class Recorder:
         large = limits.file_bytes and self._writer.size_bytes >= limits.file_bytes
         if large or (limits.file_s and age_s >= limits.file_s):
             self._end(self._writer)
+            self._unwritten.clear()
             self._writer = None
             self._writer = self._begin()
         for item in items:
             self._writer.add(item)
+            if self._in_hand and item.topic.name == topic_of(self._in_hand):
+                self._unwritten[self._in_hand] += 1
+                self._in_hand = ""
+            self._note_chunk(self._writer)
+
+    def _note_chunk(self, writer: McapWriter) -> None:
+        """Note when a chunk has been written: what was in it is recorded."""
+        if writer.size_bytes != self._seen_bytes:
+            self._seen_bytes = writer.size_bytes
+            self._unwritten.clear()
 
     def _keep(self, items: list[Item], why: str) -> None:
         """Keep the newest in memory; write them for an event."""
@@ -263,6 +281,7 @@ class Recorder:
             self.files.append(path)
             for item in self._kept.values():
                 writer.add(item)
+            self._seen_bytes = writer.size_bytes
             return writer
         raise RunError(f"{self._path}: expected fewer than {MOST_PARTS} files beside it")
 

@@ -1,5 +1,6 @@
 """A recording holds every message bit for bit, and can be read whenever its writer ends."""
 
+import errno
 import resource
 import signal
 import subprocess
@@ -21,7 +22,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from pipeline import Frame, Message, Percept, RunError
 from pipeline.messages import Detections
 from pipeline.pixel_formats import FORMATS
-from pipeline.recording.mcap_file import Item, McapChunks
+from pipeline.recording.mcap_file import Item, McapChunks, McapWriter
 from pipeline.recording.reader import Recording
 from pipeline.recording.recorder import Limits, Recorder
 from pipeline.run.played import differing
@@ -250,7 +251,53 @@ def test_what_was_written_before_the_disk_was_full_can_be_read(tmp_path: Path) -
     found = seqs(path)
     assert found == list(range(len(found)))
     assert len(found) > 10
-    assert recorder.figures()["capture.context"]["dropped"] > 0
+    figures = recorder.figures()["capture.context"]
+    assert (figures["recorded"], figures["dropped"]) == (len(found), 100 - len(found))
+
+
+def test_what_was_in_the_chunk_in_progress_when_the_disk_was_full_is_not_recorded(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    add, added = McapWriter.add, []
+
+    def full_at_ten(self: McapWriter, item: Item) -> None:
+        added.append(item)
+        if len(added) == 10:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        add(self, item)
+
+    monkeypatch.setattr(McapWriter, "add", full_at_ten)
+    recorder = Recorder(tmp_path / "a.mcap", Limits(chunk_s=1000))
+    for seq in range(20):
+        recorder.add("capture.context", frame(seq), wait=True)
+
+    assert "No space left on device" in recorder.close()
+    figures = recorder.figures()["capture.context"]
+    assert (figures["recorded"], figures["dropped"]) == (0, 20)
+
+
+def test_what_an_earlier_file_holds_is_recorded_though_the_disk_is_full_later(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    add, full = McapWriter.add, []
+
+    def full_in_the_second(self: McapWriter, item: Item) -> None:
+        if self.path.stem.endswith("-2") and item.topic.name.startswith("/capture"):
+            full.append(item)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        add(self, item)
+
+    monkeypatch.setattr(McapWriter, "add", full_in_the_second)
+    path = tmp_path / "a.mcap"
+    recorder = Recorder(path, Limits(chunk_bytes=2000, file_bytes=20_000))
+    for seq in range(100):
+        recorder.add("capture.context", frame(seq), wait=True)
+
+    assert "No space left on device" in recorder.close()
+    assert full
+    figures = recorder.figures()["capture.context"]
+    found = len(seqs(path))
+    assert (figures["recorded"], figures["dropped"]) == (found, 100 - found)
 
 
 def test_gaps_and_drops_are_counted_in_the_file(tmp_path: Path) -> None:
