@@ -1,118 +1,20 @@
 """The two ends of an edge: every message is accounted for exactly once."""
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from pipeline import Frame, Header, Message, MessageError, Percept, PoolExhausted
+from pipeline import Frame, Header, MessageError, Percept, PoolExhausted
 from pipeline.bus.envelope import Envelope
-from pipeline.bus.inport import InPort
-from pipeline.bus.ledger import EdgeAccount, private_ledger
-from pipeline.bus.outport import PROBE_S, Arrival, OutPort, Reader
-from pipeline.bus.pool import PoolReader, PoolWriter
+from pipeline.bus.outport import PROBE_S, OutPort
 from pipeline.codec import to_bytes
-from pipeline.run.memory_folder import MemoryFolder
 from pipeline.testing import header, picture
-
-STEM = "eye.out"
-
-
-class Wire:
-    """A sender that keeps what was sent."""
-
-    def __init__(self, *, matched: bool = False) -> None:
-        self.sent: list[bytes] = []
-        self.matched = matched
-        self.fresh = False
-
-    def connect(self) -> bool:
-        """Return whether a link is new."""
-        return self.fresh
-
-    def set_targets(self, *_: object) -> None:
-        """Do nothing: there is one reader."""
-
-    def send(self, payload: bytes) -> list[int]:
-        self.sent.append(payload)
-        return []
-
-    def matching(self) -> bool:
-        return self.matched
-
-
-class Edge:
-    """One writer, one reader and the account between them."""
-
-    message: type[Message] = Frame
-    address: Callable[[int], Path] | None = None
-
-    def __init__(self, *, lossless: bool = True, depth: int = 4, remote: bool = False) -> None:
-        self.memory = MemoryFolder.claim()
-        self.account: EdgeAccount = private_ledger(1, 0).edges[0]
-        self.account.reader_epoch = 1
-        self.wire, self.remote = Wire(), Wire(matched=remote)
-        self.lossless, self.depth = lossless, depth
-        self.arrivals: list[Arrival] = []
-        self.out = self.writer(1)
-        self.port = self.reader(1)
-
-    def writer(self, epoch: int) -> OutPort:
-        readers = [Reader(self.account, self.lossless, self.depth, address=self.address)]
-        return OutPort(
-            self.message, self.wire, Wire(), self.remote, readers,  # type: ignore[arg-type]
-            lambda claim: PoolWriter(self.memory, STEM, 3, claim), epoch,
-        )  # fmt: skip
-
-    def reader(self, epoch: int, *, tap: bool = False) -> InPort:
-        pool = PoolReader(self.memory, STEM)
-        return InPort(self.message, self.account, pool, epoch, self.arrivals.append, tap=tap)
-
-    def send(self, seq: int, side_px: int = 60) -> None:
-        pixels = self.out.loan((side_px, side_px, 3), np.uint8)
-        pixels[...] = seq % 251
-        head = header(seq)
-        self.out.send(Frame(header=head, pixels=pixels), head)
-
-    def carry(self) -> None:
-        for payload in self.wire.sent:
-            self.port.receive(payload)
-        self.wire.sent.clear()
-
-    def finish(self) -> None:
-        """Acknowledge all that arrived, as an operator that handled it."""
-        self.account.acknowledge("delivered", len(self.arrivals))
-        self.arrivals.clear()
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Part:
-    """What may be large at some depth of a message."""
-
-    depth_mm: NDArray[np.float32]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Views(Message):
-    """A message with large arrays of its own, in a tuple and in a dataclass."""
-
-    pixels: NDArray[np.uint8]
-    others: tuple[NDArray[np.uint8], ...] = ()
-    part: Part
-    note: str = ""
-
-
-class ViewsEdge(Edge):
-    """An edge for `Views`, its reader on this host."""
-
-    message: type[Message] = Views
-    address = staticmethod(Path)
+from tests.pipeline.bus.edges import Edge, Wire
 
 
 @pytest.fixture
@@ -142,55 +44,6 @@ def test_a_descriptor_is_small_whatever_the_picture(edge: Edge) -> None:
     edge.send(1, side_px=400)
 
     assert len(edge.wire.sent[0]) < 1000
-
-
-@pytest.fixture
-def views() -> Iterator[ViewsEdge]:
-    made = ViewsEdge()
-    yield made
-    made.arrivals.clear()
-    made.memory.empty()
-
-
-@pytest.mark.parametrize("loaned", [(), (0,), (1,), (2,), (0, 1), (1, 2), (0, 1, 2)])
-def test_all_large_arrays_of_a_message_go_through_its_slot(
-    views: ViewsEdge, loaned: tuple[int, ...]
-) -> None:
-    shapes = ((60, 60, 3), (500, 500), (300, 400))
-    kinds = (np.uint8, np.uint8, np.float32)
-    arrays = [
-        views.out.loan(shape, kind) if number in loaned else np.empty(shape, kind)
-        for number, (shape, kind) in enumerate(zip(shapes, kinds, strict=True))
-    ]
-    for number, array in enumerate(arrays):
-        array[...] = number + 1
-    pixels, other, depth_mm = arrays
-    head = header(1)
-
-    views.out.send(
-        Views(header=head, pixels=pixels, others=(other,), part=Part(depth_mm=depth_mm)), head
-    )
-
-    assert len(views.wire.sent[0]) < 1000
-    views.carry()
-    received = views.arrivals[0].message
-    assert isinstance(received, Views)
-    for number, array in enumerate([received.pixels, *received.others, received.part.depth_mm]):
-        assert array.shape == shapes[number]
-        assert (array == number + 1).all()
-
-
-def test_what_no_reader_could_receive_is_refused_and_not_counted(views: ViewsEdge) -> None:
-    small = Part(depth_mm=np.zeros(1, np.float32))
-    head = header(1)
-    message = Views(header=head, pixels=np.zeros(1, np.uint8), part=small, note="a" * 200_000)
-
-    with pytest.raises(MessageError, match="Views: expected at most 163840 bytes beside its large"):
-        views.out.send(message, head)
-
-    assert (views.account.sent, views.wire.sent) == (0, [])
-    views.out.send(replace(message, note=""), head)
-    assert views.account.sent == 1
 
 
 def test_a_lossless_reader_has_credit_for_its_depth_only(edge: Edge) -> None:

@@ -18,7 +18,7 @@ from pipeline.bus.tap import Missed, Tap
 from pipeline.codec import fingerprint
 from pipeline.run.memory_folder import MemoryFolder
 from pipeline.testing import header
-from tests.pipeline.bus.test_outport import STEM, Wire
+from tests.pipeline.bus.edges import STEM, Wire
 
 
 class Output:

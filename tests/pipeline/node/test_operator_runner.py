@@ -19,7 +19,7 @@ from pipeline.messages import Span
 from pipeline.node.operator_runner import DELAY_EVERY, MOST_ASKED, OperatorRunner, delay_on_the_way
 from pipeline.run.memory_folder import MemoryFolder
 from pipeline.testing import header
-from tests.pipeline.bus.test_outport import STEM, Wire
+from tests.pipeline.bus.edges import STEM, Wire
 from tests.samples import WorkSettings
 
 

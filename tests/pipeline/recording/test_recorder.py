@@ -6,6 +6,8 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,11 @@ from hypothesis import strategies as st
 
 pytest.importorskip("mcap")
 
+import lz4.frame
+import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from mcap.data_stream import RecordBuilder
+from mcap.records import Chunk
 
 from pipeline import Frame, Message, Percept, RunError
 from pipeline.messages import Detections
@@ -233,6 +239,37 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(RunError, match="expected an MCAP file, got something else"):
         Recording(tmp_path / "a.mcap")
+
+
+PACKED = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}
+
+
+@pytest.mark.parametrize("size", [10, 40_000_000, 1 << 40])
+@pytest.mark.parametrize("compression", PACKED)
+def test_a_chunk_that_grows_without_measure_ends_the_file(
+    tmp_path: Path, compression: str, size: int
+) -> None:
+    chunk = Chunk(
+        compression=compression, data=PACKED[compression](bytes(40_000_000)), uncompressed_crc=0,
+        message_start_time=0, message_end_time=0, uncompressed_size=size,
+    )  # fmt: skip
+    path = tmp_path / "a.mcap"
+    recorded(path, [("capture.context", frame(seq)) for seq in range(3)])
+    whole = path.read_bytes()
+    builder = RecordBuilder()
+    chunk.write(builder)
+    path.write_bytes(whole[:8] + builder.end() + whole[8:])
+    chunks, begun_s = McapChunks(path), time.monotonic()
+    tracemalloc.start()
+
+    found = list(chunks.scan())
+
+    _, most_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found == []
+    assert "ends early, after 0 whole chunks" in chunks.broken
+    assert time.monotonic() - begun_s < 20
+    assert most_bytes < 200_000_000
 
 
 def test_what_was_written_before_the_disk_was_full_can_be_read(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from pipeline.node.shadow import Shadow
 from pipeline.node.source import SourceRunner
 from pipeline.run.inline import InlineRunner
 from pipeline.testing import drive, header, picture
-from tests.pipeline.bus.test_outport import Wire
+from tests.pipeline.bus.edges import Wire
 from tests.sample_graphs import go, plan_of
 from tests.samples import Pair
 from tests.wrong_samples import Beside, Wrong, WrongSettings, percept
