@@ -3,7 +3,9 @@
 import os
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import TextIO
 
 from pipeline.errors import RunError
 from pipeline.naming import is_name
@@ -12,18 +14,26 @@ from pipeline.run.rundir import folder_of, running
 from pipeline.text import harmless
 
 MOST_BYTES = 1 << 20  # read at once
+FOLLOW_S = 0.2  # between two looks for new lines
 
 
 def log_lines(graph: str, node: str, lines: int, *, follow: bool) -> Iterator[str]:
     """Yield the last lines of a node's log, then new ones if `follow`."""
     path = _log_path(graph, node)
-    with path.open(errors="replace") as file:
+    with ExitStack() as opened:
+        file = opened.enter_context(path.open(errors="replace"))
         yield from file.read().splitlines()[-lines:] if lines else []
         while follow:
             if line := file.readline():
                 yield line.rstrip("\n")
+            elif _begun_anew(path, file):
+                yield from file.read().splitlines()  # what came before it was renamed
+                opened.close()
+                file = opened.enter_context(path.open(errors="replace"))
+            elif os.fstat(file.fileno()).st_size < os.lseek(file.fileno(), 0, os.SEEK_CUR):
+                file.seek(0)  # emptied by a new run
             else:
-                time.sleep(0.2)
+                time.sleep(FOLLOW_S)
 
 
 def log_part(
@@ -44,6 +54,14 @@ def log_part(
     kept = rows[max(0, len(rows) - count) :] if begin is None else rows[:count]
     end = start + sum(map(len, rows if begin is None else kept))
     return tuple(row.decode(errors="replace").rstrip("\n") for row in kept), end
+
+
+def _begun_anew(path: Path, file: TextIO) -> bool:
+    """Whether a log has become too long, was renamed, and another one begun in its place."""
+    try:
+        return not os.path.samestat(path.stat(), os.fstat(file.fileno()))
+    except FileNotFoundError:  # not yet, or the graph has ended
+        return False
 
 
 def _log_path(graph: str, node: str) -> Path:

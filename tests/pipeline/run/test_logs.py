@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.run import logs
-from pipeline.run.logs import log_part
+from pipeline.run.logs import log_lines, log_part
 from pipeline.run.rundir import folder_of
 
 LINES = st.lists(st.sampled_from(["", "again", "ä", "x" * 40]), max_size=6)
@@ -66,6 +66,39 @@ def test_a_log_that_began_anew_is_read_from_its_beginning(graph: str) -> None:
     log_of(graph).write_text("new\n")
 
     assert log_part(graph, "work", 9, end)[0] == ("new",)
+
+
+def test_a_log_is_followed_into_the_file_that_is_begun_when_it_is_full(graph: str) -> None:
+    path = log_of(graph)
+    path.write_text("one\n")
+    followed = log_lines(graph, "work", 5, follow=True)
+    found = [next(followed)]
+    old = path.with_name(f"{path.name}.old")
+    with path.open("a") as file:
+        file.write("two\n")
+        file.flush()
+        path.replace(old)
+        path.write_text("four\n")
+        file.write("three\n")
+
+    found += [next(followed) for _ in range(3)]
+
+    followed.close()
+    old.unlink()
+    assert found == ["one", "two", "three", "four"]
+
+
+def test_a_log_that_is_emptied_is_followed_from_its_beginning(graph: str) -> None:
+    path = log_of(graph)
+    path.write_text("one\ntwo\n")
+    followed = log_lines(graph, "work", 5, follow=True)
+    found = [next(followed) for _ in range(2)]
+    path.write_text("new\n")
+
+    found.append(next(followed))
+
+    followed.close()
+    assert found == ["one", "two", "new"]
 
 
 def test_no_lines_are_none(graph: str) -> None:
