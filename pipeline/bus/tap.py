@@ -171,7 +171,10 @@ class Tap:
         def blank(offset: int, nbytes: int) -> NDArray[np.uint8]:
             if offset + nbytes > slot_bytes:
                 raise MessageError(f"an array ends at {offset + nbytes} of {slot_bytes} bytes")
-            return np.zeros(nbytes, np.uint8)  # untouched memory costs nothing
+            try:
+                return np.zeros(nbytes, np.uint8)  # untouched memory costs nothing
+            except (MemoryError, ValueError) as error:
+                raise MessageError(f"an array of {nbytes} bytes") from error
 
         message = self._schema.read(envelope.body, blank)
         return message.header, message

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline import Frame, Percept
-from pipeline.bus.envelope import HANDSHAKE, Envelope, first_of
+from pipeline import Frame, Percept, codec
+from pipeline.bus.envelope import HANDSHAKE, MESSAGE, Envelope, first_of
 from pipeline.bus.ledger import private_ledger
 from pipeline.bus.outport import OutPort, Reader
-from pipeline.bus.pool import PoolReader, PoolWriter
+from pipeline.bus.pool import PoolReader, PoolWriter, SlotRef
 from pipeline.bus.pool_tap import PoolTap
 from pipeline.bus.tap import Missed, Tap
 from pipeline.codec import fingerprint
@@ -230,6 +230,20 @@ def test_noise_on_the_key_never_raises_and_never_counts(noise: bytes) -> None:
     tap.receive(noise)
 
     assert (heard(tap), tap.missed) == ([], Missed())
+
+
+@pytest.mark.parametrize("nbytes", [1 << 45, 1 << 62])
+def test_a_descriptor_of_an_array_that_no_memory_holds_is_counted(nbytes: int) -> None:
+    tap, schema = Tap(Frame), codec.schema(Frame)
+    frame = Frame(header=header(1), pixels=np.zeros((8, 8), np.uint8))
+    body = schema.write(frame, lambda _: 0)
+    body[schema.names.index("pixels")] = ("|u1", (nbytes // 8, 8), 0)
+    slot = SlotRef("a.out.00000000", 1, 0, 1, nbytes)
+
+    tap.receive(Envelope.render(MESSAGE, 1, 1, schema.fingerprint, slot, body))
+
+    assert heard(tap) == []
+    assert sum(tap.missed) == 1
 
 
 EVENTS = st.lists(st.tuples(st.integers(0, 2), st.integers(0, 40), st.integers(1, 3)), max_size=12)
