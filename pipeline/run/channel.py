@@ -50,6 +50,8 @@ class Channel:
     @property
     def flooded(self) -> bool:
         """Whether the node exceeds its rate of events and is not read for now."""
+        if self._allowed == float("inf"):
+            return False
         now_s = time.monotonic()
         earned = (now_s - self._allowed_s) * MOST_LINES_S
         self._allowed, self._allowed_s = min(self._allowed + earned, MOST_LINES_S), now_s
@@ -128,9 +130,12 @@ class Channel:
     def _understand(self, line: bytes) -> None:
         self._allowed -= 1
         try:
-            self._events.append(decode(EVENT, from_line(line)))
+            event = decode(EVENT, from_line(line))
         except FoveaError:
             self.left_out += 1
+            return
+        self.left_out += len(self._events) == self._events.maxlen  # the oldest makes room
+        self._events.append(event)
 
 
 class Exchange:

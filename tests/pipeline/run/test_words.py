@@ -246,6 +246,31 @@ def test_the_last_event_of_a_node_is_received_after_its_end() -> None:
     assert channel.events() == [failed]
 
 
+def test_all_events_of_a_node_that_ended_are_received_whatever_their_number() -> None:
+    channel, node = ends()
+    last = Failed("the last", False)
+    node.sendall(line_of(NEXT) * 150 + line_of(last))
+    node.close()
+
+    channel.close()
+
+    events = channel.events()
+    assert (len(events), events[-1], channel.left_out) == (151, last, 0)
+
+
+def test_events_beyond_what_is_kept_are_counted() -> None:
+    channel, node = ends()
+    last = Failed("the last", False)
+    node.sendall(line_of(NEXT) * 400 + line_of(last))
+    node.close()
+
+    channel.close()
+
+    events = channel.events()
+    assert events[-1] == last
+    assert len(events) + channel.left_out == 401
+
+
 def test_an_exchange_wakes_for_events_and_on_request() -> None:
     exchange = Exchange()
     channel, node = ends()
