@@ -1,11 +1,11 @@
 """A policy that looks for a faint target: it verifies one candidate after another, then follows.
 
-A ball of two pixels in the context is one of fifty candidates, behind boots, lines and scraps. Full
-resolution tells them apart, if it is asked: the ROI shows the likeliest candidates one window after
-another, until a verdict confirms one (operators.verify); one of which the context is sure needs no
-looks. It is followed as in pursuit, without carriers. A target that was followed for a while and is
-lost may have been kicked: what flies away from where it was is followed (`flight`). Without such it
-is waited for and looked for among people, not among faint candidates again.
+A ball of three pixels in the context is one of fifty candidates, behind boots, lines and scraps.
+Full resolution tells them apart, if it is asked: the ROI shows the likeliest candidates one window
+after another, until a verdict confirms one (operators.verify); one of which the context is sure
+needs no looks. It is followed as in pursuit, without carriers. A target that was followed for a
+while and is lost may have been kicked: what flies away from where it was is followed (`flight`).
+Without such it is waited for and looked for among people, not among faint candidates again.
 
 That is for a target asked for by its class. One asked for by id or box needs no search: the network
 binds it to a track and follows it, as in `LearnedPolicy`. A person is followed by the rules of
