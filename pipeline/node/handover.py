@@ -139,6 +139,7 @@ class Handover:
             try:
                 self._stop(cut)
             except (FoveaError, OSError) as error:
+                self._remove_states()
                 if self.inactive:
                     self.resume(self._runner.epoch)
                 self._say(CutRefused(self._runner.name, str(error)))
@@ -148,6 +149,7 @@ class Handover:
         if not self.inactive:
             return
         runner = self._runner
+        self._remove_states()
         self._begin(epoch)
         done = {name: p.resume(epoch, self._before[name]) for name, p in runner.ports.items()}
         runner.inbox.forget(lambda name, ordinal: done[name](ordinal))
@@ -264,6 +266,7 @@ class Handover:
         if state is None:
             return ""
         name = f"{self._runner.name}.{self._runner.epoch}.state"
+        self._remove_states()
         try:
             data = codec.dumps(state)
         except MessageError as error:
@@ -271,12 +274,20 @@ class Handover:
         self._memory.write(name, data)
         return name
 
+    def _remove_states(self) -> None:
+        """Remove states that no successor has read, because it ended before."""
+        for name in filter(self._is_state, self._memory.names()):
+            self._memory.remove(name)
+
+    def _is_state(self, name: str) -> bool:
+        return bool(re.fullmatch(rf"{re.escape(self._runner.name)}\.\d+\.state", name))
+
     def _read_state(self, handover: HandoverState) -> str:
         """Restore the predecessor's state in the operator; return the outcome as text."""
         name, operator = handover.state, self._runner.operator
         if not name:
             return "none"
-        if not re.fullmatch(rf"{re.escape(self._runner.name)}\.\d+\.state", name):
+        if not self._is_state(name):
             raise MessageError(f"{self._runner.name}: the state lies in a file that is not its own")
         try:
             data = self._memory.read(name, MOST_STATE_BYTES)
