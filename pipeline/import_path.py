@@ -6,6 +6,7 @@ the cause, and its output goes to standard error.
 
 import contextlib
 import importlib
+import os
 import re
 import sys
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 from pipeline.cause import cause_of, is_signal
 from pipeline.errors import FoveaError
 from pipeline.extras import remedy
+from pipeline.user_modules import advice
 from pipeline.wording import shown
 
 PATTERN = r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*"
@@ -55,5 +57,14 @@ def imported(path: str, error: type[FoveaError], where: str = "") -> Any:
     except BaseException as cause:
         if is_signal(cause):
             raise
-        why = remedy(cause) if isinstance(cause, ModuleNotFoundError) else ""
-        raise error(f"{place}{path} cannot be imported: {why or cause_of(cause)}") from cause
+        why = _missing(cause, module) if isinstance(cause, ModuleNotFoundError) else ""
+        told = f"{why or cause_of(cause)}{advice(module)}"
+        raise error(f"{place}{path} cannot be imported: {told}") from cause
+
+
+def _missing(error: ModuleNotFoundError, module: str) -> str:
+    """Say what would help, or where a module was looked for; nothing if it is another's."""
+    if found := remedy(error):
+        return found
+    missing = error.name == module.partition(".")[0]
+    return f"{cause_of(error)}, neither in {os.getcwd()} nor installed" if missing else ""

@@ -20,6 +20,7 @@ from pipeline import errors
 from pipeline.errors import DriverError, FoveaError, InstallError
 from pipeline.import_path import imported
 from pipeline.text import error_text, harmless, said_by
+from pipeline.user_modules import interpreter_options, look_in
 
 MOST_BYTES = 1 << 20  # of one object
 PIECE_BYTES = 1 << 16
@@ -40,7 +41,15 @@ class Child:
 
         `quiet`: discard what it prints.
         """
-        command = [sys.executable, "-m", "drivers.attached.child", path, f"{limit_s:g}", *words]
+        command = [
+            sys.executable,
+            *interpreter_options(),
+            "-m",
+            "drivers.attached.child",
+            path,
+            f"{limit_s:g}",
+            *words,
+        ]
         self._limit_s, self._in_all = limit_s, in_all
         self._begun_s = time.monotonic()
         self._process = subprocess.Popen(
@@ -109,7 +118,7 @@ def main(path: str, limit_s: str, *words: str) -> None:
     """Call a function and print what it yields; an error is the last object."""
     told = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    sys.path.insert(0, "")  # drivers of the user are in the current folder
+    look_in()  # drivers of the user are in the current folder
 
     def tell(found: Mapping[str, Any]) -> None:
         told.write(json.dumps(found) + "\n")

@@ -14,6 +14,7 @@ from pipeline.cli.deferred import Deferred
 from pipeline.errors import FoveaError, GraphError, InstallError, SettingsError, WeightsError
 from pipeline.extras import remedy
 from pipeline.text import error_text, harmless
+from pipeline.user_modules import look_in
 
 LOGGING = ("run", "agent", "router")  # commands whose output is a log; the others print a result
 INTERRUPTED = 130
@@ -86,7 +87,7 @@ def main() -> None:
     exits.refuse()
     with signals.raising():
         try:
-            sys.path.insert(0, "")  # the user's operators are in the current folder
+            look_in()  # the user's operators are in the current folder
             _carry_out()
         except OSError as error:
             if not output.is_lost(error):

@@ -28,6 +28,7 @@ from pipeline.node.logfile import log_to
 from pipeline.run.rundir import folder_of, running
 from pipeline.signals import Interruption
 from pipeline.text import error_text, harmless
+from pipeline.user_modules import interpreter_options
 
 REFRESH_S = 0.5
 WAIT_S = 0.25
@@ -39,7 +40,8 @@ def start(words: Sequence[str]) -> tuple[str, int]:
     If that process ends before, this one exits with the same status.
     """
     told, tells = os.pipe()
-    command = [sys.executable, "-m", "pipeline.entry", "run", "--detached", str(tells), *words]
+    fovea = [sys.executable, *interpreter_options(), "-m", "pipeline.entry"]
+    command = [*fovea, "run", "--detached", str(tells), *words]
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, pass_fds=(tells,), start_new_session=True
     ) as process:

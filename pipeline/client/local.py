@@ -1,7 +1,6 @@
 """Client of a graph on this host: asks over its bus, reads figures from its ledger."""
 
 import itertools
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, suppress
@@ -48,6 +47,7 @@ from pipeline.run.bus_client import ask_local, client_session
 from pipeline.run.logs import log_lines
 from pipeline.run.rundir import memory_of, running
 from pipeline.text import harmless
+from pipeline.user_modules import look_in
 
 QUICK_S = 3.0  # for replies that need no handler; a frozen process sends none
 STOP_S = 120.0  # in-flight messages arrive and operators close
@@ -130,8 +130,8 @@ class LocalGraph(GraphClient):
             folder = psutil.Process(self._facts["pid"]).cwd()
         except psutil.Error:
             folder = ""
-        if folder and folder not in sys.path:
-            sys.path.insert(0, folder)
+        if folder:
+            look_in(folder)
         return super().add(file)
 
     def stop(self) -> Stopped:

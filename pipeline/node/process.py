@@ -37,6 +37,7 @@ from pipeline.protocol.supervision import (
     Stop,
 )
 from pipeline.text import error_text
+from pipeline.user_modules import look_in
 
 ASIDE_NICENESS = 5  # of processes that are not on the path of sensor commands
 AHEAD_NICENESS = 19  # of imports in advance
@@ -45,6 +46,7 @@ AHEAD_NICENESS = 19  # of imports in advance
 def main() -> None:
     """Read the first instruction, obey it, announce the end, and exit with 0 or 1."""
     adopt_orphans()  # orphans of its operators end with it
+    look_in()
     control = Control.from_standard_input()
     try:
         failed = _work(control)

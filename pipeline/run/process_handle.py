@@ -20,6 +20,7 @@ from pipeline.protocol.supervision import Assignment, Event, Instruction, Leavin
 from pipeline.run.channel import Channel, Exchange
 from pipeline.run.descendants import TAG_VARIABLE, end_group, end_tagged, new_tag
 from pipeline.run.reaper import Reaper
+from pipeline.user_modules import interpreter_options
 
 # otherwise numeric libraries start a thread per core in every process
 _THREAD_LIMITS = (
@@ -143,7 +144,7 @@ def spawn(
 
             def start() -> "subprocess.Popen[bytes]":
                 return subprocess.Popen(
-                    [sys.executable, "-m", "pipeline.node.process", *words],
+                    [sys.executable, *interpreter_options(), "-m", "pipeline.node.process", *words],
                     stdin=theirs.fileno(),
                     stdout=printed,
                     stderr=printed,
