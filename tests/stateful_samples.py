@@ -43,6 +43,24 @@ class Counter(Forgetful):
         self.seen = state.count
 
 
+@dataclass(frozen=True, kw_only=True)
+class Recount:
+    """What `Counted` has become."""
+
+    frames: int
+    last_seq: int = -1
+
+
+class Recounted(Forgetful):
+    """Declares a state that is not what its predecessor wrote."""
+
+    def state(self) -> Recount:
+        return Recount(frames=self.seen)
+
+    def restore(self, state: Recount) -> None:
+        self.seen = state.frames
+
+
 class Unnamed(Counter):
     """Declares a state without naming its type."""
 

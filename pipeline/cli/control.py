@@ -75,6 +75,7 @@ def tell_command(graph: str, node: str, command: str, arguments: tuple[str, ...]
 @click.option("--set", "changes", multiple=True, metavar="SETTING=VALUE")
 @click.option("--defaults", is_flag=True, help="Start from the operator's default settings.")
 @click.option("--shadow", default=0, type=FRAMES_OR_NONE, help="Frames to run as a shadow first.")
+@click.option("--fresh", is_flag=True, help="Begin without the old instance's state.")
 @click.option("--at", default=0, type=FRAMES_OR_NONE, help="Earliest frame of the handover.")
 @click.option("--probation", default=30, type=FRAMES, show_default=True, help="Frames.")
 @click.option("--budget-ms", default=0.0, type=BUDGET_MS, help="Per frame.")

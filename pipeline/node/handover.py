@@ -171,7 +171,7 @@ class Handover:
 
     def _stop(self, cut: Cut) -> None:
         runner = self._runner
-        state = self._write_state()
+        state = "" if cut.fresh else self._write_state()
         link = connect(HANDOVER_CHANNEL, Path(cut.receiver))
         if link is None:
             raise RunError("the successor has closed its receiver")
@@ -186,7 +186,7 @@ class Handover:
             return
         self._before = {name: DropCounts(account) for name, account in runner.edges.items()}
         position = runner.inbox.position()
-        forgotten = self._undeclared.names()
+        forgotten = [] if cut.fresh else self._undeclared.names()
         edges = {name: port.cut() for name, port in runner.ports.items()}
         self.inactive, runner.account = True, _nowhere()
         with link:

@@ -17,6 +17,7 @@ from pipeline.errors import MessageError, RunError
 from pipeline.node.fingerprint import Fingerprint
 from pipeline.text import error_text
 
+WITHOUT = "; `fovea swap --fresh` begins without it"
 OPAQUE = " (cannot be looked into)"  # appended to the name of an attribute
 _OWN = frozenset(vars(Operator(None)))  # attributes of the base class
 
@@ -34,15 +35,17 @@ def restore(operator: Operator[Any, Any], data: bytes, *, must: bool = False) ->
             raise MessageError("its state() names no dataclass as what it returns")
         if cls.restore is Operator.restore:
             raise MessageError("it declares state() and no restore()")
+        if data[:8] != codec.fingerprint(kind):
+            raise MessageError(f"{kind.__name__} has other fields than before")
         state = codec.loads(kind, data)
     except MessageError as error:
         if must:
-            raise RunError(f"the state cannot be carried over: {error}") from error
+            raise RunError(f"the state cannot be carried over: {error}{WITHOUT}") from error
         return f"begins anew: {error}"
     try:
         operator.restore(state)
     except Exception as error:
-        raise RunError(f"its restore() failed: {error_text(error)}") from error
+        raise RunError(f"its restore() failed: {error_text(error)}{WITHOUT}") from error
     return "carried over"
 
 

@@ -19,6 +19,7 @@ class SwapOrder(ControlMessage, frozen=True, kw_only=True):
     defaults: bool = False  # do not keep the settings that the node has
     at: FrameCount = 0  # earliest frame of the handover
     shadow: FrameCount = 0
+    fresh: bool = False  # without the state of the old instance
     probation: SomeFrames = 30
     budget_ms: BudgetMs = 0.0  # 0: three times the old operator's median
 

@@ -106,6 +106,7 @@ class Cut(ControlMessage, frozen=True, kw_only=True):
     heard: dict[str, int]  # by input: the successor has received everything after this ordinal
     at: int = 0
     shadow: int = 0  # frames of a shadow run: do not stop, only send the position
+    fresh: bool = False  # the successor gets no state
 
 
 class Uncut(ControlMessage, frozen=True):

@@ -43,6 +43,7 @@ class ControlServer:
         self._manager, self._health = manager, health
         self._asked: queue.SimpleQueue[tuple[bytes, Callable[[bytes], None]]] = queue.SimpleQueue()
         self._operation: Operation | None = None
+        self._about = ""  # what the operation is, in words
         self._reply: Reply = _nobody
         self._lock = threading.Lock()  # protects accepting an order against `abort`
         self._ended = False
@@ -76,10 +77,10 @@ class ControlServer:
         if isinstance(order, StopOrder):
             self._stop(reply)
         elif self._operation is not None:
-            raise Busy(f"{manager.plan.name}: another order is in progress")
+            raise Busy(f"{manager.plan.name}: another order is in progress, {self._about}")
         else:
             self._operation = self._started(order)
-            self._reply = reply
+            self._reply, self._about = reply, about(order)
 
     def _started(self, order: SwapOrder | PlanOrder) -> Operation:
         if not isinstance(order, SwapOrder):
@@ -127,6 +128,17 @@ class ControlServer:
 
     def _too_late(self) -> Refused:
         return refused(f"{self._manager.plan.name}: the run ended before that was done")
+
+
+def about(order: SwapOrder | PlanOrder) -> str:
+    """Return what an order changes, in words.
+
+    >>> about(SwapOrder(node="eye", at=900))
+    'a swap of eye from frame 900 on'
+    """
+    if not isinstance(order, SwapOrder):
+        return "a change of its nodes"
+    return f"a swap of {order.node}" + (f" from frame {order.at} on" if order.at else "")
 
 
 def _encoded(reply: Callable[[bytes], None]) -> Reply:

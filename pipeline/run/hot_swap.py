@@ -174,7 +174,8 @@ class HotSwap(SwapMachine[HotState]):
         if taken is None:
             return S.TAKING_OVER
         self.facts |= {
-            "seq": taken.seq, "gap_ms": taken.gap_ms, "state": taken.state,
+            "seq": taken.seq, "gap_ms": taken.gap_ms,
+            "state": "begins anew, as asked" if self._order.fresh else taken.state,
             "forgotten": taken.forgotten,
         }  # fmt: skip
         if self._target.told_since():
@@ -252,8 +253,9 @@ class HotSwap(SwapMachine[HotState]):
 
     def _cut(self, *, at: int = 0, shadow: int = 0) -> Cut:
         return Cut(
-            node=self._name, receiver=self._new.receiver, heard=self._heard, at=at, shadow=shadow
-        )
+            node=self._name, receiver=self._new.receiver, heard=self._heard, at=at, shadow=shadow,
+            fresh=self._order.fresh,
+        )  # fmt: skip
 
     def _begin_cut(self) -> HotState:
         self._old.tell(self._cut(at=self._order.at))

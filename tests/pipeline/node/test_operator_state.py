@@ -21,13 +21,14 @@ import pytest
 
 from pipeline import Operator, RunError
 from pipeline.codec import dumps
-from pipeline.node.operator_state import UndeclaredState, restore
+from pipeline.node.operator_state import WITHOUT, UndeclaredState, restore
 from pipeline.testing import header
 from tests.samples import WorkSettings
 from tests.stateful_samples import (
     Counted,
     Counter,
     Forgetful,
+    Recounted,
     Refusing,
     Unnamed,
     Unresolved,
@@ -260,6 +261,7 @@ def test_an_operator_that_declares_its_state_has_nothing_undeclared() -> None:
         (Unnamed, "its state() names no dataclass as what it returns"),
         (Unresolved, "its state() names no dataclass as what it returns"),
         (Unrestored, "it declares state() and no restore()"),
+        (Recounted, "Recount has other fields than before"),
     ],
 )
 def test_a_state_that_cannot_be_carried_over_is_an_error_only_within_one_class(
@@ -270,7 +272,7 @@ def test_a_state_that_cannot_be_carried_over_is_an_error_only_within_one_class(
     assert restore(cls(WorkSettings()), data) == f"begins anew: {said}"
     with pytest.raises(RunError) as caught:
         restore(cls(WorkSettings()), data, must=True)
-    assert str(caught.value) == f"the state cannot be carried over: {said}"
+    assert str(caught.value) == f"the state cannot be carried over: {said}{WITHOUT}"
 
 
 def test_a_restore_that_fails_is_an_error_whatever_it_raises() -> None:

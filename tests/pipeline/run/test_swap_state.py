@@ -49,6 +49,23 @@ def test_declared_state_and_another_operator_are_no_reason_to_warn(tmp_path: Pat
     assert [swapped(r).state for r in results] == ["none", "carried over"]
 
 
+def test_a_swap_without_the_old_state_is_asked_for(tmp_path: Path) -> None:
+    plan, results = plan_of(tmp_path, GRAPH.format(cls="Unnamed")), Results()
+    orders = [
+        SwapOrder(node="work", probation=5),
+        SwapOrder(node="work", probation=5, fresh=True, shadow=5),
+    ]
+
+    report = go(plan, 0, swapping(results, *orders))
+
+    refused, done = reasons(results)
+    assert refused.endswith("; `fovea swap --fresh` begins without it; the old instance continues")
+    assert done == ""
+    assert swapped(results[1]).state == "begins anew, as asked"
+    assert swapped(results[1]).forgotten == []
+    assert_accounts_add_up(report)
+
+
 def test_a_part_that_has_to_be_stopped_and_started_begins_anew_with_a_reason(
     tmp_path: Path,
 ) -> None:
