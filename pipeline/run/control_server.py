@@ -32,6 +32,7 @@ from pipeline.run.process_manager import ProcessManager
 from pipeline.run.swap_target import SwapTarget
 from pipeline.run.topology import TopologyOperation
 
+MOST_ASKED = 16  # orders that wait
 Reply = Callable[[Result], None]
 log = logging.getLogger(__name__)
 
@@ -41,7 +42,7 @@ class ControlServer:
 
     def __init__(self, manager: ProcessManager, health: HealthMonitor) -> None:
         self._manager, self._health = manager, health
-        self._asked: queue.SimpleQueue[tuple[bytes, Callable[[bytes], None]]] = queue.SimpleQueue()
+        self._asked: queue.Queue[tuple[bytes, Callable[[bytes], None]]] = queue.Queue(MOST_ASKED)
         self._operation: Operation | None = None
         self._about = ""  # what the operation is, in words
         self._reply: Reply = _nobody
@@ -49,21 +50,32 @@ class ControlServer:
         self._ended = False
 
     def ask(self, order: bytes, reply: Callable[[bytes], None]) -> None:
-        """Queue an order, from any thread; after `abort` it is refused at once."""
+        """Queue an order, from any thread; after `abort`, or of too many, it is refused at once."""
+        refusal: Refused | None = None
         with self._lock:
-            ended = self._ended
-            if not ended:
-                self._asked.put((order, reply))
-        if ended:
-            reply(encode(self._too_late()))
+            if self._ended:
+                refusal = self._too_late()
+            else:
+                try:
+                    self._asked.put_nowait((order, reply))
+                except queue.Full:
+                    name = self._manager.plan.name
+                    refusal = refused(f"{name}: {MOST_ASKED} orders are waiting", busy=True)
+        if refusal is not None:
+            reply(encode(refusal))
             return
         self._manager.exchange.wake()
 
     def tick(self) -> None:
-        """Accept a queued order, and advance the current operation."""
-        while not self._asked.empty():
+        """Accept a queued order, and advance the current operation.
+
+        One at a time: a large order takes long to decode, and nothing is watched meanwhile.
+        """
+        if not self._asked.empty():
             order, reply = self._asked.get()
             self._take_up(order, _encoded(reply))
+            if not self._asked.empty():
+                self._manager.exchange.wake()
         if self._operation is not None:
             self._operation.tick()
             if self._operation.result is not None:
