@@ -34,7 +34,6 @@ from pipeline.run.process_handle import KILLED_S
 from pipeline.run.swap_machine import SwapMachine
 from pipeline.run.swap_target import SwapTarget
 
-START_S = 60.0
 STOP_S = 5.0
 LEAVE_S = 1.0  # for a trial process to exit
 
@@ -101,7 +100,7 @@ class ColdSwap(SwapMachine[ColdState]):
     def _checking(self) -> ColdState:
         trial = self.other
         if trial is not None and not self._await(
-            self.events.heard(trial, Fits), START_S, "it was not checked", trial
+            self.events.heard(trial, Fits), self._target.start_limit_s, "it was not checked", trial
         ):
             return S.CHECKING
         self.other = None
@@ -196,7 +195,9 @@ class ColdSwap(SwapMachine[ColdState]):
         self._plan, self._handle = plan, self._target.start(plan)
 
     def _is_ready(self) -> bool:
-        if not self._await(self._handle.ready, START_S, "it was not ready", self._handle):
+        if not self._await(
+            self._handle.ready, self._target.start_limit_s, "it was not ready", self._handle
+        ):
             return False
         self._target.change_plan(self._plan)
         return True

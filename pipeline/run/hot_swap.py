@@ -52,7 +52,6 @@ from pipeline.run.process_handle import KILLED_S
 from pipeline.run.swap_machine import SwapMachine
 from pipeline.run.swap_target import Successor, SwapTarget
 
-START_S = 60.0
 CONNECT_S = 10.0
 SHADOW_S = 1.0  # time limit per frame
 CUT_S = 30.0
@@ -124,7 +123,7 @@ class HotSwap(SwapMachine[HotState]):
         return S.LOADING
 
     def _loading(self) -> HotState:
-        if not self._beside(self._new.handle.ready, START_S, "it was not ready"):
+        if not self._beside(self._new.handle.ready, self._target.start_limit_s, "it was not ready"):
             return S.LOADING
         self._target.send_also_to(self._new.epoch)
         return S.CONNECTING

@@ -4,9 +4,12 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from pipeline.graph.limits import RESTART
 from pipeline.graph.plan import Node
 from pipeline.run.process_handle import ProcessHandle, Sample
 
+MOST_DEATHS = int(RESTART["most"].high) + 1  # that a rule may have to count
+START_S = 60.0  # for an instance to start, unless one of its nodes may take longer
 EARLY_SAMPLES, LATE_SAMPLES = 120, 600  # one sample per second
 
 
@@ -56,12 +59,22 @@ class ManagedProcess:
     going_since_s: float = 0.0
     last_words: str = ""  # the last known reason why it ended
     quick_deaths: int = 0  # consecutive ends after a short time
-    deaths: deque[float] = field(default_factory=lambda: deque(maxlen=64))
+    deaths: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_DEATHS))
     samples: Samples = field(default_factory=Samples)
     sources: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         self.promised = self.epoch
+
+    @property
+    def start_limit_s(self) -> float:
+        """How long another instance may take to start.
+
+        >>> slow = Node(index=0, name="eye", operator="m:Eye", settings={}, start_s=90.0)
+        >>> ManagedProcess("eye", (slow,)).start_limit_s
+        90.0
+        """
+        return max([START_S, *(node.start_s for node in self.nodes)])
 
     def promise(self) -> int:
         """Return a new, unique epoch for the next instance."""

@@ -68,6 +68,11 @@ class SwapTarget:
         return self._manager.plan
 
     @property
+    def start_limit_s(self) -> float:
+        """How long a new instance may take to start."""
+        return self._managed.start_limit_s
+
+    @property
     def account(self) -> NodeAccount:
         """The node's account."""
         return self._manager.ledger.nodes[self.node.index]

@@ -19,7 +19,6 @@ from pipeline.run.operation import Operation, log
 from pipeline.run.process_handle import ProcessHandle, ending
 from pipeline.run.process_manager import ProcessManager
 
-START_S = 60.0
 TELL_S = 5.0
 REST_S = 1.0
 LEAVE_S = 1.0  # for the trial process to exit
@@ -118,14 +117,15 @@ class TopologyOperation(Operation):
         job = self.manager.job(managed, self._plan, managed.promise(), trial=True)
         trial = self._trial = self.manager.launch(job, fresh=True)
         names = ", ".join(node.operator for node in managed.nodes)
-        late_s = time.monotonic() + START_S
+        limit_s = managed.start_limit_s
+        late_s = time.monotonic() + limit_s
         while not self.events.heard(trial, Fits):
             if self.events.over(trial):
                 failed, status = self.events.heard(trial, Failed), trial.ended() or 0
                 how = f"{managed.name}: the process that imported {names} ended by {ending(status)}"
                 raise RunError(failed.error if failed else how)
             if time.monotonic() > late_s:
-                limit = f"within {START_S:.0f} s"
+                limit = f"within {limit_s:.0f} s"
                 raise RunError(f"{managed.name}: {names} was not imported and checked {limit}")
             yield
         self._dismiss_trial(LEAVE_S)
@@ -142,6 +142,8 @@ class TopologyOperation(Operation):
             manager.ledger.edges[edge.index].clear()
         for node in self._added:
             manager.ledger.nodes[node.index].clear()
+            # an earlier node of that name may have been told other settings while it ran
+            manager.live_file(node.name).unlink(missing_ok=True)
         manager.change_plan(self._plan)
         fresh = [s for n, s in manager.processes.items() if n in {a.process for a in self._added}]
         try:
@@ -163,12 +165,13 @@ class TopologyOperation(Operation):
         manager.note()
 
     def _ready(self, managed: ManagedProcess) -> Iterator[None]:
-        handle, late_s = managed.handle, time.monotonic() + START_S
+        handle, limit_s = managed.handle, managed.start_limit_s
+        late_s = time.monotonic() + limit_s
         assert handle is not None
         while not handle.ready:
             self.events.check_alive(handle)
             if time.monotonic() > late_s:
-                raise RunError(f"topology: {managed.name} was not ready within {START_S:.0f} s")
+                raise RunError(f"topology: {managed.name} was not ready within {limit_s:.0f} s")
             yield
 
     def _address(self) -> None:

@@ -54,6 +54,7 @@ class StandIn:
     def __init__(self) -> None:
         self.node = SimpleNamespace(name="work")
         self.plan = "before"
+        self.start_limit_s = 60.0
         self.old, self.new = StandInHandle("work", 1, True, True), StandInHandle("work", 2)
         self.works: StandInHandle | None = self.old
         self.did: list[str] = []

@@ -8,6 +8,7 @@ import pytest
 from pipeline.protocol.supervision import Failed, Fits
 from pipeline.run import cold_swap
 from pipeline.run.cold_swap import ColdState, ColdSwap
+from pipeline.run.managed_process import START_S
 from pipeline.run.swap_machine import SPARE_S
 from tests.pipeline.run.swap_stand_in import StandInHandle, Swapping
 
@@ -86,7 +87,7 @@ def test_what_does_not_fit_is_refused_before_anything_is_stopped() -> None:
 def test_a_trial_that_sends_nothing_is_refused() -> None:
     one = swapping("CHECKING")
 
-    said = one.tick(later_s=cold_swap.START_S + 1)
+    said = one.tick(later_s=START_S + 1)
 
     assert said == "work: it was not checked within 60 s"
 
@@ -131,7 +132,7 @@ def test_a_new_part_that_does_not_get_ready_is_stopped_first() -> None:
     one = swapping("STARTING")
     new = working(one)
 
-    assert one.tick(later_s=cold_swap.START_S + 1) == "STOPPING_BACK"
+    assert one.tick(later_s=START_S + 1) == "STOPPING_BACK"
     assert new.told == ["Stop"]
     new.status = 0
     assert one.tick() == "STARTING_BACK"

@@ -19,6 +19,7 @@ from pipeline.protocol.supervision import (
 )
 from pipeline.run import hot_swap
 from pipeline.run.hot_swap import HotState, HotSwap
+from pipeline.run.managed_process import START_S
 from pipeline.run.swap_machine import SPARE_S
 from tests.pipeline.run.swap_stand_in import Swapping
 
@@ -84,7 +85,7 @@ def test_a_shadow_run_comes_before_the_cut() -> None:
 @pytest.mark.parametrize(
     ("state", "limit_s", "said"),
     [
-        ("LOADING", hot_swap.START_S, "work: it was not ready within 60 s"),
+        ("LOADING", START_S, "work: it was not ready within 60 s"),
         ("CONNECTING", hot_swap.CONNECT_S, "work: its inputs got no handshake within 10 s"),
     ],
 )

@@ -4,9 +4,14 @@ import os
 import signal
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from pipeline.graph.plan import Node, Restart
+from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.restarts import Restarts
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import (
@@ -177,3 +182,22 @@ def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
         "time.sleep" in (base() / plan.name / "work.log").read_text()
         or "samples.py" in (base() / plan.name / "work.log").read_text()
     )
+
+
+@pytest.mark.parametrize("most", [0, 63, 64, 200])
+def test_a_limit_of_restarts_is_reached_however_high_it_is(most: int) -> None:
+    rule = Restart(most=most, window_s=1000.0, backoff_s=0.001)
+    node = Node(index=0, name="eye", operator="m:Eye", settings={}, restart=rule)
+    managed = ManagedProcess("eye", (node,))
+    manager: Any = SimpleNamespace(
+        plan=SimpleNamespace(clock="realtime"), restarts={}, crashes={}, failure="",
+        run_folder=SimpleNamespace(to_read=lambda _: ""), is_unborn=lambda _: False,
+        vacate=lambda _: None, note=lambda: None, sources_wait=False,
+    )  # fmt: skip
+    restarts = Restarts(manager)
+
+    for death in range(most + 1):
+        assert manager.failure == ""
+        restarts.on_end(managed, 1, 1000 + death / 10)
+
+    assert manager.failure == f"eye died {most + 1} times within 1000 s"

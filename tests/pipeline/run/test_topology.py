@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -96,6 +97,25 @@ def test_a_consumer_is_added_and_removed_and_the_others_lose_no_frame(tmp_path: 
     second = report["summaries"]["second"]
     first = second["seen"][0]
     assert second == {"seen": list(range(first, first + len(second["seen"]))), "torn": 0}
+
+
+def test_settings_told_to_a_node_are_not_those_of_the_next_one_of_its_name(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOSSLESS)
+    text = SECOND.replace("samples:Count", "samples:Pass")
+    told: list[dict[str, Any]] = []
+
+    def acts(order: Order, supervisor: Supervisor) -> None:
+        for every in (7, 5):
+            order(with_nodes, addition(tmp_path, f"{text}    settings: {{every: 1}}\n"))
+            until(lambda: handled(supervisor, "second") > 2)
+            client = find(plan.name)
+            told.append(client.configure("second", {}).settings)
+            client.configure("second", {"every": every})
+            order(without_node, "second")
+
+    go(plan, 0, operating(plan, acts))
+
+    assert [settings["every"] for settings in told] == [1, 1]
 
 
 def test_an_edge_is_rewired_between_two_frames(tmp_path: Path) -> None:
