@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 import click
 
 from pipeline import signals
-from pipeline.cli.arguments import RUNNING
+from pipeline.cli.arguments import DURATION_S, RUNNING
 from pipeline.client import find as clients
 from pipeline.client.tracing import Span, Tracing, inputs_of
 from pipeline.errors import RunError, SettingsError
@@ -31,7 +31,7 @@ EXPORT_TIMEOUT_S = 5
 @click.option(
     "--save", type=click.Path(path_type=Path, dir_okay=False), help="JSON, a span a line."
 )
-@click.option("--duration-s", type=click.FloatRange(0.1), help="End after that time.")
+@click.option("--duration-s", type=DURATION_S, help="End after that time.")
 @click.option("--every", default=1, show_default=True, type=click.IntRange(1),
               help="Send the trace of one exposure of that many.")  # fmt: skip
 def trace(

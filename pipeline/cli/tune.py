@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from pipeline import terminal
-from pipeline.cli.arguments import JSON, print_json
+from pipeline.cli.arguments import JSON, Finite, print_json
 from pipeline.cli.files import try_report
 from pipeline.cli.overlaid import GRAPH, load_overlaid, overlaid
 from pipeline.cli.running import built_settings
@@ -36,9 +36,7 @@ console = terminal.console()
 @click.command()
 @GRAPH
 @overlaid
-@click.option(
-    "--rate", "rate_hz", type=click.FloatRange(0.1, 10_000), help="Hz; else the source's."
-)
+@click.option("--rate", "rate_hz", type=Finite(0.1, 10_000), help="Hz; else the source's.")
 @click.option("--frames", default=40, show_default=True, type=click.IntRange(5, 1000))
 @click.option("--threads", type=click.IntRange(1, MOST_THREADS), help="Try 1 to so many.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write settings here.")

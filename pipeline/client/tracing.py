@@ -163,16 +163,18 @@ class Tracing:
         self.exposures = 0
 
     def __enter__(self) -> "Tracing":
-        for listener in self._listeners:
-            self._open.enter_context(listener)
-        self._exposures = Exposures(list(self._inputs), since_ns=time.monotonic_ns())
-        for listener in self._listeners:
-            thread = threading.Thread(
-                target=self._listen, args=(listener,), name=f"trace-{listener.output}"
-            )
-            self._open.callback(thread.join)
-            thread.start()
-        self._open.callback(self._stop.set)
+        with ExitStack() as opening:  # closes what is open already, if the next cannot be opened
+            for listener in self._listeners:
+                opening.enter_context(listener)
+            self._exposures = Exposures(list(self._inputs), since_ns=time.monotonic_ns())
+            for listener in self._listeners:
+                thread = threading.Thread(
+                    target=self._listen, args=(listener,), name=f"trace-{listener.output}"
+                )
+                thread.start()
+                opening.callback(thread.join)
+                opening.callback(self._stop.set)
+            self._open = opening.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:

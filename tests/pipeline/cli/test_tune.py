@@ -80,6 +80,7 @@ def test_what_is_tried_is_what_the_node_does_not_have() -> None:
     ("words", "sentence"),
     [
         (("--rate", "0"), "0.1<=x<=10000"),
+        (("--rate", "nan"), "nan is no finite number"),
         (("--out", "/proc/none/tuned.yaml"), "/proc/none/tuned.yaml"),
     ],
 )
