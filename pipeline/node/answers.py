@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from pipeline.bus.ledger import Ledger
 from pipeline.bus.session import OnBytes, OnQuestion, Session
+from pipeline.cause import cause_of
 from pipeline.commands import carry_out
 from pipeline.contract import Operator
 from pipeline.errors import FoveaError
@@ -102,6 +103,6 @@ def respond(
     except FoveaError as error:
         answer = encode(refused(str(error)))
     except Exception as error:
-        reply(encode(refused(f"{node}: it failed and restarts: {error_text(error)}")))
+        reply(encode(refused(f"{node}: it failed and restarts: {cause_of(error)}")))
         raise
     reply(answer)

@@ -19,6 +19,7 @@ from typing import Any
 from pipeline import settings as checked
 from pipeline.bus.ledger import Ledger
 from pipeline.bus.session import Session
+from pipeline.cause import cause_of
 from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
 from pipeline.graph.plan import Node, load_operator
@@ -47,7 +48,7 @@ from pipeline.protocol.supervision import (
     Summary,
     Uncut,
 )
-from pipeline.text import error_text, harmless, plain, said_by
+from pipeline.text import harmless, plain, said_by
 
 HEADLINE_S = 1.0  # interval of headlines
 FAREWELL_S = 3.0  # after this time the process ends, whatever operators do
@@ -234,7 +235,7 @@ def failure(error: BaseException) -> Failed:
     with contextlib.suppress(Exception):  # an exception of an operator's own may do anything
         traceback.print_exception(error)
     expected = isinstance(error, FoveaError)
-    return Failed(said_by(error) if expected else error_text(error), expected)
+    return Failed(said_by(error) if expected else cause_of(error), expected)
 
 
 def _summary(node: str, figures: Mapping[str, Any]) -> Summary:

@@ -18,6 +18,7 @@ from pipeline import codec
 from pipeline.bus.envelope_buffer import DropCounts
 from pipeline.bus.ledger import NodeAccount, private_ledger
 from pipeline.bus.local_transport import LocalReceiver, connect
+from pipeline.cause import cause_of
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.node.operator_runner import OperatorRunner
 from pipeline.node.operator_state import UndeclaredState, class_of, lost_words, restore
@@ -36,7 +37,6 @@ from pipeline.protocol.supervision import (
     Standing,
     TakenOver,
 )
-from pipeline.text import error_text
 
 HANDOVER_CHANNEL = 0xFFFFFFFF  # the "edge" on which a successor gets the state
 REST_S = 0.005
@@ -262,7 +262,7 @@ class Handover:
         try:
             state = self._runner.operator.state()
         except Exception as error:  # the node keeps running: only the swap is refused
-            raise RunError(f"its state() failed: {error_text(error)}") from error
+            raise RunError(f"its state() failed: {cause_of(error)}") from error
         if state is None:
             return ""
         name = f"{self._runner.name}.{self._runner.epoch}.state"

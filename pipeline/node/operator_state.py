@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from typing import Any, Union
 
 from pipeline import codec
+from pipeline.cause import cause_of
 from pipeline.contract import Input, Operator, Output
 from pipeline.errors import MessageError, RunError
 from pipeline.node.fingerprint import Fingerprint
-from pipeline.text import error_text
 
 WITHOUT = "; `fovea swap --fresh` begins without it"
 OPAQUE = " (cannot be looked into)"  # appended to the name of an attribute
@@ -45,7 +45,7 @@ def restore(operator: Operator[Any, Any], data: bytes, *, must: bool = False) ->
     try:
         operator.restore(state)
     except Exception as error:
-        raise RunError(f"its restore() failed: {error_text(error)}{WITHOUT}") from error
+        raise RunError(f"its restore() failed: {cause_of(error)}{WITHOUT}") from error
     return "carried over"
 
 

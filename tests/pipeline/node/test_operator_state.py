@@ -276,5 +276,7 @@ def test_a_state_that_cannot_be_carried_over_is_an_error_only_within_one_class(
 
 
 def test_a_restore_that_fails_is_an_error_whatever_it_raises() -> None:
-    with pytest.raises(RunError, match=r"its restore\(\) failed: ValueError: 3 is too many"):
+    with pytest.raises(
+        RunError, match=r"its restore\(\) failed: .+\.py:[0-9]+: ValueError: 3 is too many"
+    ):
         restore(Refusing(WorkSettings()), dumps(Counted(count=3)))

@@ -157,9 +157,8 @@ def test_a_crash_loop_does_not_affect_the_others_and_ends_with_its_reason(tmp_pa
 
     report = go(plan, 0)
 
-    assert report["failure"] == (
-        "glance died 4 times within 60 s: ValueError: told not to live for long"
-    )
+    assert report["failure"].startswith("glance died 4 times within 60 s: ")
+    assert report["failure"].endswith(": ValueError: told not to live for long")
     assert edge(report, "count.frame")["dropped"] == {}
     assert edge(report, "count.frame")["delivered"] > 20
 

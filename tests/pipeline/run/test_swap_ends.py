@@ -24,9 +24,9 @@ def swap(supervisor: Supervisor, **changes: Any) -> list[Result]:
 @pytest.mark.parametrize(
     ("kind", "said"),
     [
-        ("exit_in_open", "SystemExit: 0"),
+        ("exit_in_open", "faulty_samples.py:"),
         ("exit_0", "the new instance ended by exit status 0"),
-        ("long_text", "ValueError: xxxx"),
+        ("long_text", ": ValueError: xxxx"),
         ("fork_and_die", "the new instance ended by signal SIGKILL"),
     ],
 )

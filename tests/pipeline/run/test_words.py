@@ -76,7 +76,8 @@ def test_an_exception_text_drives_no_terminal_and_no_log_line(
     go(plan, 0, recovers)
 
     (said,) = [m for m in caplog.messages if "odd" in m]
-    assert said == r"unruly: ValueError: odd \ud800\x1b[2J\x00\u202e text and more"
+    assert said.startswith("unruly: ")
+    assert said.endswith(r": ValueError: odd \ud800\x1b[2J\x00\u202e text and more")
 
 
 @pytest.mark.parametrize("size", [3_000, 3_000_000])
@@ -148,7 +149,8 @@ def test_a_state_that_cannot_be_had_fails_only_the_swap(tmp_path: Path) -> None:
 
     report = go(unruly_plan(tmp_path, kind="broken_state", size=100_000), 0, during)
 
-    assert reasons(answers)[0].startswith("unruly: its state() failed: ValueError: no statexxx")
+    assert reasons(answers)[0].startswith("unruly: its state() failed: ")
+    assert ": ValueError: no statexxx" in reasons(answers)[0]
     assert len(reasons(answers)[0]) < 2200
     assert report["restarts"] == {}
     assert_accounts_add_up(report)
