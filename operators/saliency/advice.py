@@ -25,7 +25,7 @@ def advice(names: Iterable[str], known: Description, shown: Any | None) -> Itera
     seen = f"shows {shows}" if shows else "does not say what it shows"
     yield (
         f"warning: the detector is for {domain}, and {source} {seen}: of anything but {domain}, "
-        "what it finds means nothing; another detector is set by saliency.weights"
+        "what it finds means nothing; another detector is set by this node's weights"
     )
 
 

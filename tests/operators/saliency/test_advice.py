@@ -40,6 +40,7 @@ def test_a_source_of_another_kind_is_warned_of(shows: str, said: str) -> None:
     _, warning = told(SOCCER, Shown(shows))
 
     assert warning.startswith(f"warning: the detector is for soccer, and walk.mp4 {said}: ")
+    assert warning.endswith("; another detector is set by this node's weights")
 
 
 def test_a_detector_without_metadata_is_reported_and_fits_every_source() -> None:
