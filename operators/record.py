@@ -99,8 +99,8 @@ class Record(Operator[RecordSettings, None]):
     def open(self) -> None:
         """Begin the first file; raises `RunError` when it cannot be made."""
         s = self.settings
-        if not s.path:  # not in the settings: a graph may hold a recorder that is not started
-            raise SettingsError("record.path: expected a file to write, got none")
+        if not s.path:  # not in the settings: of a deployed graph, the host's file may set it
+            raise SettingsError("path: expected a file to write, got none")
         self._empty: dict[str, int] = {}  # frames without a box, by output
         self._recorder = self.recorder_type(Path(s.path).absolute(), s.limits())
         self._recorder.note("graph", {"version": described(), "name": s.graph})
@@ -141,12 +141,12 @@ class Record(Operator[RecordSettings, None]):
             HEADLINE: f"recorded {counts.get('recorded', 0)} messages to {', '.join(files[:3])}, "
             f"dropped {counts.get('dropped', 0)}",
         }  # fmt: skip
-        return {**found, INCOMPLETE: f"record.path: {failure}"} if failure else found
+        return {**found, INCOMPLETE: failure} if failure else found
 
     def close(self) -> None:
         """End the file; raises `RunError` if messages were lost at its end."""
         if failure := self._ended():
-            raise RunError(f"record.path: {failure}")
+            raise RunError(failure)
 
     def take(self, name: str, message: Message) -> None:
         """Queue a message of an input."""

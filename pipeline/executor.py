@@ -17,6 +17,14 @@ Answers = Mapping[str, Message | None]  # by output; None or missing: no message
 M = TypeVar("M", bound=Message)
 
 
+def open_operator(node: str, operator: Operator[Any, Any]) -> None:
+    """Open an operator; its `SettingsError` begins with the node, whose name it does not know."""
+    try:
+        operator.open()
+    except SettingsError as error:
+        raise SettingsError(f"{node}: {error}") from error
+
+
 class Executor:
     """Calls one operator. Errors begin with `node`; outputs are allocated from `memory`."""
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.contract import Operator, inputs_of, joined, settings_of
 from pipeline.errors import RunError
-from pipeline.executor import Executor, carried
+from pipeline.executor import Executor, carried, open_operator
 from pipeline.messages import Geometry, Header, Message, altered
 from pipeline.settings import build, suggest
 
@@ -38,7 +38,7 @@ def drive(
     answers: list[Any] = []
     stream = ""
     try:
-        subject.open()
+        open_operator(name, subject)
         for message in messages:
             arguments = _arguments(operator, message)
             seen = next(m for m in arguments.values() if m is not None).header

@@ -112,7 +112,7 @@ class Visualise(Operator[VisualiseSettings, None]):
         s = self.settings
         if not (s.save or s.connect or s.serve):
             # not in the settings themselves: a graph may hold a viewer that is not started
-            raise SettingsError("visualise.save: expected save, connect or serve, got none")
+            raise SettingsError("save: expected save, connect or serve, got none")
         self._begin()
         self._windows, self._kinds = {"roi"}, set()
         self._screen = screen.Screen(s.save, s.connect, (s.port, s.web_port) if s.serve else None)

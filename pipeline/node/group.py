@@ -22,6 +22,7 @@ from pipeline.bus.session import Session
 from pipeline.cause import cause_of
 from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
+from pipeline.executor import open_operator
 from pipeline.graph.plan import Node, load_operator
 from pipeline.node.handover import Say
 from pipeline.node.inspection import imported
@@ -85,7 +86,7 @@ class Group:
                     account.epoch = self._job.epochs[node.name]
                     account.enter("starting")
                 self._operators.append(self._make(node))
-                self._operators[-1].open()
+                open_operator(node.name, self._operators[-1])
             loaded_s = time.monotonic()
             self._session = Session(Path(self._job.run_folder), self._job.instance)
             if self._job.network is not None:

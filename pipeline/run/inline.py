@@ -17,7 +17,7 @@ from pipeline.bus.ledger import Ledger, private_ledger
 from pipeline.bus.outport import Arrival
 from pipeline.contract import Operator, Source, outputs_of, settings_of
 from pipeline.errors import GraphError, RunError
-from pipeline.executor import Answers, Executor, carried, header_of
+from pipeline.executor import Answers, Executor, carried, header_of, open_operator
 from pipeline.graph.plan import Edge, Node, Plan, inputs_for, load_operator
 from pipeline.messages import Header, Message, Span, altered, stamped
 from pipeline.node.live import Live
@@ -80,7 +80,7 @@ class InlineRunner:
         try:
             for name, loaded in self._nodes.items():
                 self.at = name
-                loaded.operator.open()
+                open_operator(name, loaded.operator)
                 loaded.account.provider = str(loaded.operator.runs_on())
         except BaseException:
             self.__exit__()

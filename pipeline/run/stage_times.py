@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline import settings as checked
 from pipeline.contract import settings_of
-from pipeline.executor import Answers, Executor
+from pipeline.executor import Answers, Executor, open_operator
 from pipeline.graph.plan import Node, Plan, load_operator
 from pipeline.messages import Message
 from pipeline.run.inline import InlineRunner
@@ -102,7 +102,7 @@ def replayed(node: Node, changes: Mapping[str, Any], frames: list[list[Call]]) -
     executor = Executor(node.name, operator)
     spent: list[tuple[int, int]] = []
     stream = None
-    operator.open()
+    open_operator(node.name, operator)
     try:
         for calls in frames:
             began = time.perf_counter_ns(), time.process_time_ns()

@@ -1,5 +1,6 @@
 """The recorder joins a running graph, loses nothing on its lossless edges, and leaves it whole."""
 
+import errno
 import json
 import os
 import signal
@@ -12,12 +13,15 @@ import pytest
 
 pytest.importorskip("mcap")
 
-from operators.record import Record
+from operators.record import Record, RecordSettings
 from pipeline import RunError, SettingsError
 from pipeline.client import recording
 from pipeline.client.find import find
 from pipeline.client.local import LocalGraph
+from pipeline.recording.mcap_file import Item
 from pipeline.recording.reader import Recording
+from pipeline.recording.recorder import Recorder
+from pipeline.run.inline import InlineRunner
 from pipeline.run.supervisor import Supervisor
 from pipeline.testing import drive
 from tests.pipeline.recording.test_recorder import frame, percept
@@ -171,5 +175,51 @@ def test_a_ring_is_written_when_the_target_is_lost(tmp_path: Path) -> None:
 
 
 def test_a_recorder_without_a_file_is_refused() -> None:
-    with pytest.raises(SettingsError, match="expected a file to write, got none"):
+    with pytest.raises(SettingsError, match=r"^Record: path: expected a file to write, got none$"):
         drive(Record, [{"frame_1": frame(0)}], {})
+
+
+NAMELESS = """\
+  tape:
+    operator: operators.record:Record
+    inputs: {frame_1: ticker.roi}
+"""
+
+
+def test_a_recorder_without_a_file_is_named_as_the_graph_names_it(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, together(CHAIN, "ticker", "count", "glance") + NAMELESS)
+    said = "^tape: path: expected a file to write, got none$"
+
+    with pytest.raises(SettingsError, match=said), InlineRunner(plan):
+        pass
+    with pytest.raises(RunError, match=said):
+        go(plan, 3)
+
+
+class FullDisk(Recorder):
+    """A recorder whose disk takes nothing more."""
+
+    def _write(self, items: list[Item]) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+class RecordOnFullDisk(Record):
+    """Records to it."""
+
+    recorder_type = FullDisk
+
+
+def test_a_recording_that_cannot_be_written_to_its_end_is_named_by_its_file(
+    tmp_path: Path,
+) -> None:
+    paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    summed, closed = [RecordOnFullDisk(RecordSettings(path=str(path))) for path in paths]
+    for recorder in (summed, closed):
+        recorder.open()
+        recorder.take("frame_1", frame(0))
+
+    told = summed.summary()
+
+    assert told["incomplete"].startswith(f"{paths[0]}: No space left")
+    with pytest.raises(RunError, match=f"^{paths[1]}: No space left"):
+        closed.close()
