@@ -54,6 +54,17 @@ def told_changes(changes: Iterable[str]) -> list[str]:
     ]
 
 
+def graph_option(default: Path) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return the option `--graph`, found as by `fovea run`; the command receives its path as text.
+
+    Raises `GraphError` for an unknown name while the command line is read.
+    """
+    return click.option(
+        "--graph", type=GRAPH_FILE, default=default, help="the loop: a shipped graph or a file",
+        callback=lambda _context, _option, path: str(path),
+    )  # fmt: skip
+
+
 def on_graph(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add options for the graph to run (`graph`) and what is laid over it (`source`, `changes`)."""
     for decorate in (

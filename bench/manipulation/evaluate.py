@@ -24,6 +24,7 @@ from bench.machine import facts
 from bench.manipulation.intervals import METHOD, paired, wilson
 from bench.manipulation.rows import Row, parsed, rows_of
 from bench.manipulation.trial import Job, Outcome, needed, plan_of, trial
+from bench.options import graph_option
 from bench.outputs import STANDARD_OUTPUT, make_room
 from drivers.scenes.insertion import COMPLETE, PARTIAL
 from operators.training.identity import of_code, of_plan
@@ -47,7 +48,7 @@ MOST_TRIALS = 10_000
 @click.option("--trials", default=100, help="of every row")
 @click.option("--seed", default=70_000, help="of the first trial")
 @click.option("--consumer", default="", help="an ONNX file in place of the graph's own network")
-@click.option("--graph", default=str(GRAPH), help="the loop")
+@graph_option(GRAPH)
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--jobs", default=2, help="processes")
 @click.option("--report", type=Path, help="JSON")

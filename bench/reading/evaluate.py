@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.machine import facts
-from bench.options import Bench
+from bench.options import Bench, graph_option
 from bench.outputs import STANDARD_OUTPUT, make_room
 from bench.reading.clips import ROAD, clips_of
 from bench.reading.plot import plot
@@ -71,7 +71,7 @@ HEAD = [
 @click.option("--clips", default=10, help="of every row")
 @click.option("--frames", default=60, help="of a clip")
 @click.option("--seed", default=70_000, help="of the first street")
-@click.option("--graph", default=str(GRAPH), help="the loop")
+@graph_option(GRAPH)
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--policy", default="", help="an ONNX file in place of the graph's own policy")
 @click.option(

@@ -22,7 +22,7 @@ from typing import Any
 import click
 
 from bench.machine import facts
-from bench.options import Bench
+from bench.options import Bench, graph_option
 from bench.outputs import make_room
 from bench.reading.evaluate import finite, within
 from bench.shirts.tally import Counts
@@ -55,7 +55,7 @@ HEAD = (
 @click.option("--clips", default=8, show_default=True, help="of every row")
 @click.option("--frames", default=90, show_default=True, help="of a clip")
 @click.option("--seed", default=70_000, show_default=True, help="of the first match")
-@click.option("--graph", default=str(GRAPH), help="the loop")
+@graph_option(GRAPH)
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--jobs", default=2, show_default=True, help="processes")
 @click.option("--report", type=Path, help="JSON")

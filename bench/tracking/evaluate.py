@@ -33,6 +33,7 @@ from rich.console import Console
 from rich.text import Text
 
 from bench.machine import facts
+from bench.options import graph_option
 from bench.outputs import STANDARD_OUTPUT
 from bench.tracking.budgets import acquisition
 from bench.tracking.cases import CUES, PROTOCOLS, SEES, Case, Protocol, cases
@@ -83,7 +84,7 @@ FOLLOWED = "starts every few frames (short), one to the end of the clip (long), 
 @click.option("--players", default=1, help="players of a clip, drawn by the seed")
 @click.option("--every", default=8, help="frames between starts")
 @click.option("--longest", default=Rules.longest, help="frames for which a start is followed")
-@click.option("--graph", default=str(GRAPH), help="the loop")
+@graph_option(GRAPH)
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--tracker", default="", help=FOLLOWS)
 @click.option("--sees", default="both", type=click.Choice(list(SEES)), help=VIEWS)

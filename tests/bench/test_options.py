@@ -4,9 +4,16 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from click import ClickException
 from click.testing import CliRunner
 
 from bench import crash, kalman, loop, scene, soak
+from bench.manipulation import evaluate as manipulation
+from bench.reading import evaluate as reading
+from bench.shirts import evaluate as shirts
+from bench.tracking import evaluate as tracking
+from pipeline.errors import GraphError
+from pipeline.graph.shipped import graph_path
 
 
 @pytest.mark.parametrize("bench", [crash, loop, soak])
@@ -33,6 +40,22 @@ def test_footage_that_is_not_there_is_one_sentence_and_exit_status_2(
 
     assert ended.value.code == 2
     assert "error: /nowhere" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("evaluation", [tracking, reading, shirts, manipulation])
+def test_an_evaluation_takes_a_shipped_graph_by_name_or_the_path_of_a_file(
+    evaluation: ModuleType,
+) -> None:
+    def graph(*words: str) -> object:
+        line = ["--data", "procedural"] if evaluation is tracking else []
+        with evaluation.command.make_context("eval", [*line, *words]) as context:
+            return context.params["graph"]
+
+    assert graph() == str(evaluation.GRAPH)
+    assert graph("--graph", "follow") == str(graph_path("follow"))
+    assert graph("--graph", "my/graph.yaml") == "my/graph.yaml"
+    with pytest.raises((GraphError, ClickException), match="did you mean 'tracking'"):
+        graph("--graph", "trackin")
 
 
 def test_an_unknown_graph_is_one_sentence() -> None:
