@@ -124,9 +124,9 @@ def _lay_source(file: YamlFile, nodes: Any, spec: GraphSpec, path: Path) -> None
     over = source_document(path)
     found = [name for name, node in spec.nodes.items() if _makes_frames(node)]
     if len(found) != 1:
-        raise GraphError(
-            f"{file.path}: --source needs one node that makes frames, got {len(found)}"
-        )
+        names = f": {', '.join(found)}" if found else ""
+        what = "--source needs one node that makes frames"
+        raise GraphError(f"{file.path}: {what}, got {len(found)}{names}")
     entry: YamlMapping = nodes[found[0]]
     for key in ("operator", "settings"):
         if key in over.document:

@@ -143,9 +143,10 @@ class InlineRunner:
     def _only_source(self) -> _InlineNode:
         found = [p for p in self._nodes.values() if isinstance(p.operator, Source)]
         if len(found) != 1:
-            raise GraphError(
-                f"{self.plan.name}: expected one node that makes frames, got {len(found)}"
-            )
+            expected = f"{self.plan.name}: expected one node that makes frames"
+            names = ", ".join(loaded.node.name for loaded in found)
+            remedy = f": {names}; several run as processes, without --inline" if names else ""
+            raise GraphError(f"{expected}, got {len(found)}{remedy}")
         return found[0]
 
     def _drain_frame(self) -> None:

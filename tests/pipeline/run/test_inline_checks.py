@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline import FoveaError, Frame, MessageError, Operator, RunError, Source
+from pipeline import FoveaError, Frame, GraphError, MessageError, Operator, RunError, Source
 from pipeline.bus.envelope_buffer import EdgeCut
 from pipeline.bus.inbox import InboxPosition
 from pipeline.bus.inport import InPort
@@ -24,6 +24,8 @@ from pipeline.bus.local_transport import LocalReceiver
 from pipeline.bus.outport import Arrival, OutPort
 from pipeline.codec import carried, dumps, loads, to_bytes, unpack
 from pipeline.contract import inputs_of, outputs_of
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import load_operator
 from pipeline.messages import altered
 from pipeline.node.operator_runner import OperatorRunner
@@ -245,6 +247,26 @@ def test_a_wrong_answer_ends_a_graph_of_processes_in_the_same_words(
         as_processes(tmp_path, cls, answer)
 
     assert said in str(caught.value)
+
+
+TWO = """\
+nodes:
+  left:
+    operator: tests.samples:Ticker
+  right:
+    operator: tests.samples:Ticker
+"""
+
+
+def test_two_sources_are_named_where_there_can_be_one(tmp_path: Path) -> None:
+    plan, source = plan_of(tmp_path, TWO), tmp_path / "source.yaml"
+    source.write_text("settings: {rate_hz: 30}\n")
+    said = "node that makes frames, got 2: left, right"
+
+    with pytest.raises(GraphError, match=f"{said}; several run as processes, without --inline"):
+        InlineRunner(plan)
+    with pytest.raises(GraphError, match=f"graph.yaml: --source needs one {said}$"):
+        load(tmp_path / "graph.yaml", Overlay(source=source))
 
 
 def test_values_that_the_codec_accepts_are_converted_in_line_as_by_the_codec() -> None:
