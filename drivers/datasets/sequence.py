@@ -103,9 +103,12 @@ def read_ini(path: Path) -> configparser.SectionProxy:
 
 def read_info(folder: Path) -> SequenceInfo:
     """Read seqinfo.ini of a sequence folder; raises `DriverError` naming file and key."""
-    if not folder.is_dir():
-        raise DriverError(f"{folder}: expected the folder of a sequence, got no such folder")
     path = folder / "seqinfo.ini"
+    if not path.is_file():
+        got = "a file" if folder.is_file() else "no such folder"
+        got = "one without seqinfo.ini" if folder.is_dir() else got
+        what = "expected the folder of a sequence (seqinfo.ini, img1/)"
+        raise DriverError(f"{folder}: {what}, got {got}")
     section = read_ini(path)
     width, height, length = (_whole(path, section, k) for k in ("imWidth", "imHeight", "seqLength"))
     return SequenceInfo(

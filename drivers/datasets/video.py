@@ -21,7 +21,8 @@ class VideoFile:
     def __init__(self, *, path: str) -> None:
         self._path = Path(path)
         if not self._path.is_file():
-            raise DriverError(f"{path}: expected a video file, got no such file")
+            got = "a folder" if self._path.is_dir() else "no such file"
+            raise DriverError(f"{path}: expected a video file, got {got}")
         self._capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
             raise DriverError(f"{path}: expected a video, got something that cannot be decoded")

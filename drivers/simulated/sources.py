@@ -97,7 +97,8 @@ def check_arguments(setting: str, path: str, names: Mapping[str, Any]) -> None:
     for name, parameter in parameters.items():
         plain = parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
         if plain and parameter.default is parameter.empty and name not in names:
-            raise SettingsError(f"{name}: required by {path}, got nothing")
+            place = name if name == "path" else f"source_options.{name}"
+            raise SettingsError(f"{place}: required by {path}, got nothing")
 
 
 def _build(setting: str, path: str, values: dict[str, Any]) -> FrameSource:

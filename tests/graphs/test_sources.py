@@ -252,3 +252,10 @@ def test_long_edges_are_led_elsewhere_too_and_others_stay(tmp_path: Path) -> Non
 
     edges = {e.target: (e.source, e.keep) for e in plan.edges}
     assert edges == {"small": ("rgb", "every"), "rgb": ("capture", "latest")}
+
+
+def test_a_road_without_labels_is_an_error_of_its_file(tmp_path: Path) -> None:
+    said = r"roadtext\.yaml:\d+: capture\.options\.source_options\.labels: required by drivers\."
+
+    with pytest.raises(SettingsError, match=said):
+        capture_of(graph(tmp_path), "roadtext", "capture.path=film.mp4")

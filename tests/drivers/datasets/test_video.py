@@ -75,3 +75,8 @@ def test_a_real_film_reads_to_its_end(footage: Footage) -> None:
     assert video.length >= 150
     assert video.picture(video.length - 1).shape == (720, 1280, 3)
     video.close()
+
+
+def test_a_folder_in_the_place_of_a_video_is_called_one(tmp_path: Path) -> None:
+    with pytest.raises(DriverError, match=f"^{tmp_path}: expected a video file, got a folder$"):
+        VideoFile(path=str(tmp_path))

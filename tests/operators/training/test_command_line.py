@@ -148,5 +148,6 @@ def test_wrong_options_of_an_evaluation_are_refused(
 
     assert f"{gone}: no such weights" in refused(main, ["--weights", gone], capsys)
     said = refused(main, ["--data", file], capsys)
-    assert said == f"fovea: {file}: expected the folder of a sequence, got no such folder"
+    what = "expected the folder of a sequence (seqinfo.ini, img1/), got a file"
+    assert said == f"fovea: {file}: {what}"
     assert "must be at least 1, got 0" in refused(main, ["--moments", 0], capsys)
