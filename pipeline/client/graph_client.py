@@ -13,7 +13,7 @@ from pipeline.bus.tap import Heard, Tap
 from pipeline.errors import Busy, RunError
 from pipeline.graph.editing import PortTypes, rewired, with_nodes, without_node
 from pipeline.graph.loader import Sent
-from pipeline.graph.plan import Plan
+from pipeline.graph.plan import Plan, no_output
 from pipeline.protocol.codec import decode_answer
 from pipeline.protocol.fleet import State
 from pipeline.protocol.orders import SwapOrder, SwapResult, TopologyResult
@@ -190,7 +190,5 @@ def output_of(client: GraphClient, output: str) -> tuple[str, str, str]:
     outputs = client.schema(node).outputs
     port = port or "out"
     if port not in outputs:
-        options = [o if o != "out" else node for o in (f"{node}.{p}" for p in outputs)]
-        hint = suggest(output, options)
-        raise RunError(f"{client.name}: {node} has no output {port}{hint}")
+        raise RunError(f"{client.name}: {no_output(output, outputs)}")
     return node, port, outputs[port].schema

@@ -13,7 +13,7 @@ from pipeline import codec
 from pipeline.contract import inputs_of, outputs_of
 from pipeline.errors import GraphError
 from pipeline.graph.loader import Sent, extended
-from pipeline.graph.plan import Edge, Plan, load_operator
+from pipeline.graph.plan import Edge, Plan, load_operator, no_output
 from pipeline.graph.yaml_lines import YamlFile
 from pipeline.settings import suggest
 
@@ -103,9 +103,7 @@ def _check_origin(plan: Plan, edge: Edge, ports_of: PortTypesOf) -> None:
         raise GraphError(f"{where}: no node {edge.source}{suggest(edge.source, names)}")
     outputs = ports_of(edge.source).outputs
     if edge.output not in outputs:
-        options = [edge.source if o == "out" else f"{edge.source}.{o}" for o in outputs]
-        hint = suggest(edge.origin, options)
-        raise GraphError(f"{where}: {edge.source} has no output {edge.output}{hint}")
+        raise GraphError(f"{where}: {no_output(edge.origin, outputs)}")
     wanted, sent = ports_of(edge.target).inputs[edge.input], outputs[edge.output]
     if wanted != sent:
         raise GraphError(f"{where}: {wanted.against(sent)} from {edge.origin}")

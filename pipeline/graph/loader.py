@@ -16,7 +16,7 @@ from pipeline import settings as checked
 from pipeline.contract import Input, Operator, inputs_of, joined, outputs_of, settings_of
 from pipeline.errors import GraphError, SettingsError
 from pipeline.graph.overlay import Overlay
-from pipeline.graph.plan import Clock, Edge, Node, Plan, load_operator
+from pipeline.graph.plan import Clock, Edge, Node, Plan, load_operator, no_output
 from pipeline.graph.spec import EdgeSpec, NodeSpec, check_places, graph_spec, node_specs
 from pipeline.graph.yaml_lines import YamlFile
 from pipeline.messages import Message
@@ -205,9 +205,7 @@ def _edge(
         raise _LocatedError(f"{place}: no node {shown_key(spec.source)}{hint}")
     outputs = nodes[spec.source].outputs
     if spec.output not in outputs:
-        options = [_origin(spec.source, output) for output in outputs]
-        hint = checked.suggest(spec.origin, options)
-        raise _LocatedError(f"{place}: {spec.source} has no output {shown_key(spec.output)}{hint}")
+        raise _LocatedError(f"{place}: {no_output(spec.origin, outputs)}")
     if differs := _difference(port.message, outputs[spec.output]):
         raise _LocatedError(f"{place}: {differs} from {spec.origin}")
     values = {key: getattr(port, key) for key in FROM_PORT} | {"transport": "pool"}

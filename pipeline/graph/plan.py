@@ -5,7 +5,7 @@ directly. Wherever a plan comes from, this module refuses invalid names (`pipeli
 outside `pipeline.graph.limits` and edges without ends.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -15,7 +15,8 @@ from pipeline.errors import GraphError, SettingsError
 from pipeline.graph.limits import EDGE, MOST_EDGES, MOST_NODES, NODE, RESTART, check_numbers
 from pipeline.import_path import imported
 from pipeline.naming import check_name
-from pipeline.wording import shown
+from pipeline.settings import suggest
+from pipeline.wording import shown, shown_key
 
 Clock = Literal["realtime", "lockstep"]
 RestartPolicy = Literal["never", "on-failure", "always"]
@@ -242,6 +243,21 @@ def load_operator(path: str, where: str = "") -> type[Operator[Any, Any]]:
 def is_source(node: Node) -> bool:
     """Whether the node is a source."""
     return issubclass(load_operator(node.operator), Source)
+
+
+def no_output(origin: str, outputs: Iterable[str]) -> str:
+    """Return why `node` or `node.output` is none of the node's outputs, as a sentence.
+
+    >>> no_output("eye", ["context", "roi"]), no_output("eye.rio", ["context", "roi"])
+    ('eye has several outputs, name one: eye.context, eye.roi', \
+"eye has no output rio, did you mean 'eye.roi'?")
+    """
+    node, _, output = origin.partition(".")
+    known = [node if name == "out" else f"{node}.{name}" for name in outputs]
+    if known and not output:
+        what = "several outputs, name one" if len(known) > 1 else "one output, name it"
+        return f"{node} has {what}: {', '.join(known)}"
+    return f"{node} has no output {shown_key(output or 'out')}{suggest(origin, known)}"
 
 
 def sources(plan: Plan) -> Iterator[Node]:

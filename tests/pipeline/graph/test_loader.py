@@ -63,6 +63,12 @@ def test_a_good_graph_becomes_a_plan(tmp_path: Path) -> None:
         ("frame: ticker.context", "frame: tiker.context", 10, "did you mean 'ticker.context'"),
         ("frame: ticker.context", "frame: ticker.contxt", 10, "did you mean 'ticker.context'"),
         ("frame: ticker.context", "fram: ticker.context", 10, "did you mean 'frame'"),
+        (
+            "frame: ticker.context",
+            "frame: ticker",
+            10,
+            "ticker has several outputs, name one: ticker.context, ticker.roi",
+        ),
         ("{rate_hz: 50}", "{rate_hz: fast}", 7, "ticker.rate_hz"),
         ("{rate_hz: 50}", "{rate_hz: -1}", 7, "must be positive, got -1"),
         ("{rate_hz: 50}", "{rate: 50}", 7, "did you mean 'rate_hz'"),
