@@ -49,7 +49,13 @@ def read_hosts(words: Iterable[str], credentials: Path | None, labels: Iterable[
 
 
 def known_addresses(credentials: Path) -> dict[str, str]:
-    """Return the addresses that `fovea secure` stored with credentials: label -> address."""
+    """Return the addresses that `fovea secure` stored with credentials: label -> address.
+
+    Raises `SettingsError` for a folder that is not there.
+    """
+    if not credentials.is_dir():
+        got = "no such folder; `fovea secure init` makes one"
+        raise SettingsError(f"--credentials {credentials}: {got}")
     path = credentials / ADDRESSES
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, str])

@@ -267,6 +267,14 @@ def test_credentials_and_agent_files_allow_what_the_graph_has_on_that_host_and_n
         read_hosts((), folder / "user.alice", ["desk"])
 
 
+def test_credentials_that_are_not_there_are_named_and_how_they_are_made(tmp_path: Path) -> None:
+    gone = tmp_path / "user.alice"
+    said = f"^--credentials {gone}: no such folder; `fovea secure init` makes one$"
+
+    with pytest.raises(SettingsError, match=said):
+        read_hosts(["sensor=10.0.0.1"], gone, ["sensor", "compute"])
+
+
 def test_a_host_without_an_address_is_refused_before_anything_is_made(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="expected --host viewer=ADDRESS, got none"):
         check_addressed(tmp_path, {"sensor": "a", "compute": "b"}, [plan_of(tmp_path)])
