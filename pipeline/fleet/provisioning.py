@@ -18,6 +18,7 @@ from pipeline.fleet.names import (
 from pipeline.fleet.placement import code_digest, code_of, file_digest, identities, is_path, strings
 from pipeline.fleet.router import extended, router_yaml
 from pipeline.graph.plan import Plan
+from pipeline.settings import suggest
 from pipeline.whole_file import write_whole
 
 
@@ -87,8 +88,13 @@ def _issue_router(
 def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan]) -> None:
     """Raise `RunError` for a new host without an address.
 
-    Raises `SettingsError` for an invalid address, or one that two hosts share.
+    Raises `SettingsError` for an invalid address, one that two hosts share, and, where graphs are
+    given, for a new host that none of them has.
     """
+    named = [host for plan in plans for host in plan.hosts]
+    for label in addresses if plans else ():
+        if label not in named and not _agent_file(folder, label).exists():
+            raise SettingsError(f"--host {label}: no graph has it{suggest(label, named)}")
     taken: dict[str, str] = {}
     for label, address in {**_addresses_known(folder), **addresses}.items():
         if address and not is_routed(address):

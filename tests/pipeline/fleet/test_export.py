@@ -280,6 +280,19 @@ def test_a_host_without_an_address_is_refused_before_anything_is_made(tmp_path: 
         check_addressed(tmp_path, {"sensor": "a", "compute": "b"}, [plan_of(tmp_path)])
 
 
+def test_a_new_host_that_no_graph_has_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path)
+    addresses = {"sensor": "a", "compute": "b", "viewer": "c", "snsor": "d"}
+
+    with pytest.raises(SettingsError, match="--host snsor: no graph has it, did you mean 'sensor'"):
+        check_addressed(tmp_path, addresses, [plan])
+
+    check_addressed(tmp_path, addresses, [])  # hosts whose graphs come later
+    (tmp_path / "host.snsor").mkdir()
+    (tmp_path / "host.snsor" / "agent.yaml").write_text("label: snsor\n")
+    check_addressed(tmp_path, addresses, [plan])  # a host of a graph that came before
+
+
 @pytest.mark.parametrize(
     "addresses",
     [
