@@ -7,12 +7,13 @@ by `fovea weights pull`, and used only if their sha256 matches the manifest.
 import difflib
 import hashlib
 import http.client
+import json
 import re
 import tomllib
 import urllib.request
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import IO, Any
 
@@ -268,10 +269,16 @@ def pull_command(names: tuple[str, ...], mirror: Path | None, folder: Path | Non
 
 @weights_commands.command("list")
 @click.option("--folder", type=click.Path(path_type=Path, file_okay=False), help="Look here.")
-def list_command(folder: Path | None) -> None:
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def list_command(folder: Path | None, as_json: bool) -> None:
     """List the networks of the manifest and which of them are present."""
+    found = [(entry, find(name, folder)) for name, entry in entries().items()]
+    if as_json:
+        told = [{**asdict(entry), "path": str(path) if path else None} for entry, path in found]
+        click.echo(json.dumps({"weights": told}, indent=1))
+        return
     table = Table("name", "here", "kB", "licence", "note", box=None)
-    for name, entry in entries().items():
-        here = "yes" if find(name, folder) else "no"
-        table.add_row(name, here, f"{entry.size_bytes / 1e3:.0f}", entry.licence, entry.note)
+    for entry, path in found:
+        here = "yes" if path else "no"
+        table.add_row(entry.name, here, f"{entry.size_bytes / 1e3:.0f}", entry.licence, entry.note)
     terminal.console().print(table)

@@ -1,8 +1,10 @@
 """Weights are found by name and checksum; a refused download leaves nothing behind."""
 
 import hashlib
+import json
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -243,6 +245,15 @@ def test_the_command_line_lists_and_refuses(tmp_path: Path) -> None:
 
     assert listed.exit_code == 0
     assert isinstance(refused.exception, WeightsError)
+
+
+def test_the_list_as_json_has_what_the_manifest_says_and_where_the_file_is(tmp_path: Path) -> None:
+    listed = CliRunner().invoke(weights_commands, ["list", "--json", "--folder", str(tmp_path)])
+
+    (found, *_) = rows = json.loads(listed.output)["weights"]
+    assert [row["name"] for row in rows] == list(entries())
+    assert set(found) == {field.name for field in fields(Entry)} | {"path"}
+    assert {row["path"] for row in rows} == {None}
 
 
 def test_an_entry_of_no_bytes_is_refused() -> None:
