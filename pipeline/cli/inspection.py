@@ -130,7 +130,9 @@ def schema_command(graph: str, node: str) -> None:
 def logs(graph: str, node: str | None, follow: bool, lines: int, as_json: bool) -> None:
     """Show a node's log, also after it has ended; without NODE, the output of a detached run."""
     if node is None and (follow or detached.noted(graph) is None):
-        raise click.UsageError(f"expected `fovea logs GRAPH NODE`, got {harmless(graph)} alone")
+        why = f"; {said}" if (said := clients.unknown(graph)) else ""
+        words = f"expected `fovea logs GRAPH NODE`, got {harmless(graph)} alone"
+        raise click.UsageError(f"{words}{why}")
     found = (
         detached.words(graph, lines)
         if node is None

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from difflib import get_close_matches
 
 from pipeline.client.deployed import DeployedGraph
 from pipeline.client.graph_client import GraphClient, Said, Status
@@ -10,7 +11,7 @@ from pipeline.errors import FoveaError, RunError
 from pipeline.fleet.deploy import AT_ONCE
 from pipeline.fleet.remembered import remembered
 from pipeline.run.logs import log_lines
-from pipeline.run.rundir import running
+from pipeline.run.rundir import folder_of, run_folders, running
 from pipeline.settings import suggest
 
 
@@ -70,8 +71,24 @@ def _status(client: GraphClient) -> Status | None:
         return Status(graph=client.name, hosts=hosts, nodes=dict(client.hosts.nodes))
 
 
+def unknown(graph: str) -> str:
+    """Return, as a sentence, that a graph neither runs nor has run here; empty if it does or has.
+
+    Raises `RunError` for what is no graph's name.
+    """
+    deployed = remembered()
+    if graph in deployed or folder_of(graph).is_dir():
+        return ""
+    names = {*deployed, *(folder.path.name for folder in run_folders())}
+    near = get_close_matches(graph, names, 1)  # a list of all that ever ran would be long
+    hint = f", did you mean {near[0]!r}?" if near else ""
+    return f"no graph {graph} runs or has run here{hint}"
+
+
 def logs(graph: str, node: str, lines: int, *, follow: bool = False) -> Iterator[str]:
     """Yield the last lines of a node's log, also for a graph that ran here and has ended."""
+    if why := unknown(graph):
+        raise RunError(why)
     ended = graph not in running() and graph not in remembered()
     return (
         log_lines(graph, node, lines, follow=follow)

@@ -248,7 +248,10 @@ def test_an_option_that_was_renamed_names_the_new_one(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["logs", "work"], "expected `fovea logs GRAPH NODE`, got work alone"),
+        (
+            ["logs", "work"],
+            "expected `fovea logs GRAPH NODE`, got work alone; no graph work runs or has run here",
+        ),
         (["schema", "work"], "expected `fovea schema GRAPH NODE`, got work alone"),
         (["echo", "work.roi"], "expected `fovea echo GRAPH NODE[.OUTPUT]`, got work.roi alone"),
         (["hz", "work"], "expected `fovea hz GRAPH NODE[.OUTPUT]`, got work alone"),
