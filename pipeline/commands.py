@@ -44,7 +44,7 @@ def _checked(
     if command not in known:
         hint = checked.suggest(command, known)
         raise SettingsError(f"{node}: no command {shown_key(command)}{hint}")
-    built = checked.build(known[command], arguments, f"{node}.{command}")
+    built = checked.build(known[command], arguments, f"{node}.{command}", kind="argument")
     return {f.name: getattr(built, f.name) for f in dataclasses.fields(built)}
 
 

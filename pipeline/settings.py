@@ -32,10 +32,11 @@ class WrongSetting(SettingsError):
         self.path = path
 
 
-def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
+def build(cls: type[T], values: Mapping[str, Any], where: str, *, kind: str = "setting") -> T:
     """Return an instance of the dataclass `cls`; raises `SettingsError` beginning with `where`.
 
-    A class attribute `FORMER` of `cls` maps each removed setting to a sentence for its error.
+    `kind` is what an unknown name is called. A class attribute `FORMER` of `cls` maps each removed
+    setting to a sentence for its error.
     """
     known = [f.name for f in fields(cls)]  # type: ignore[arg-type]
     former: Mapping[str, str] = getattr(cls, "FORMER", {})
@@ -44,7 +45,7 @@ def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
             if name in former:
                 raise WrongSetting(f"{where}.{name}: {former[name]}", (name,))
             hint = suggest(str(name), known)
-            raise WrongSetting(f"{where}.{shown_key(name)}: no such setting{hint}", (str(name),))
+            raise WrongSetting(f"{where}.{shown_key(name)}: no such {kind}{hint}", (str(name),))
         check_plain(values[name], f"{where}.{name}", (name,))
     try:
         built: T = _strict_adapter(cls).validate_json(json.dumps(_whole(values)), strict=True)

@@ -51,7 +51,7 @@ def test_a_command_is_done_and_answered() -> None:
     [
         ("recal", {}, r"work: no command recal, did you mean 'recall'\?"),
         ("open", {}, "work: no command open; there is recall, break_down"),
-        ("recall", {"lst": 2}, r"work\.recall\.lst: no such setting, did you mean 'last'\?"),
+        ("recall", {"lst": 2}, r"work\.recall\.lst: no such argument, did you mean 'last'\?"),
         ("recall", {"last": "2"}, r"work\.recall\.last: input should be a valid integer, got '2'"),
         ("recall", {"last": 0}, r"work\.recall\.last: must be at least 1, got 0"),
     ],
