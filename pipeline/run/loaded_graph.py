@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Iterable, Mapping
+from numbers import Integral, Real
 from pathlib import Path
 
 from pipeline.cores import available_cores
@@ -15,6 +16,7 @@ from pipeline.run.inline import InlineRunner, Watch
 from pipeline.run.recorded_run import as_data, profile_of
 from pipeline.run.report import Report, compose
 from pipeline.run.supervisor import Supervisor
+from pipeline.wording import shown
 
 
 def load(
@@ -69,6 +71,13 @@ class Graph:
         `RunError` for a graph that cannot continue; an operator's exception in this thread passes
         through. Crashes of processes that did not end the run are in the report's `crashes`.
         """
+        limits: Mapping[str, tuple[object, type, str]] = {
+            "frames": (frames, Integral, "a whole number"),
+            "duration_s": (duration_s, Real, "a number"),
+        }
+        for name, (value, kind, expected) in limits.items():
+            if not isinstance(value, kind):
+                raise SettingsError(f"run.{name}: expected {expected}, got {shown(value)}")
         if frames < 0 or duration_s < 0:
             raise SettingsError(f"run: expected limits from 0 on, got {frames}, {duration_s}")
         if processes:

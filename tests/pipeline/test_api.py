@@ -133,6 +133,9 @@ def test_arguments_that_do_not_fit_a_graph_are_refused_in_one_sentence(
     ("given", "said"),
     [
         ({"frames": -1}, "run: expected limits from 0 on, got -1, 0.0"),
+        ({"frames": "x"}, "run.frames: expected a whole number, got 'x'"),
+        ({"frames": 2.5}, "run.frames: expected a whole number, got 2.5"),
+        ({"duration_s": None}, "run.duration_s: expected a number, got None"),
         ({"duration_s": 1.0}, "run.duration_s: expected it with processes=True"),
         ({"processes": True, "watch": print}, "run.watch: expected none for processes, got one"),
     ],
