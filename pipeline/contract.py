@@ -251,6 +251,17 @@ def joined(operator: type[Operator[Any, Any]]) -> tuple[str, ...]:
     return tuple(n for n, i in inputs_of(operator).items() if i.join and not i.command)
 
 
+def handlers_of(operator: type[Operator[Any, Any]]) -> dict[str, tuple[str, ...]]:
+    """Return the inputs of each handler, by its name: the joined set, and each other input."""
+    inputs = inputs_of(operator)
+    groups: list[tuple[str, ...]] = [
+        (name,) for name, port in inputs.items() if port.command or not port.join
+    ]
+    if together := joined(operator):
+        groups.append(together)
+    return {f"on_{'_'.join(names)}": names for names in groups}
+
+
 def handler_of(operator: Operator[Any, Any], names: tuple[str, ...]) -> Callable[..., Any]:
     """Return the method `on_<first>_<second>…` for a set of inputs."""
     name = "on_" + "_".join(names)

@@ -1,10 +1,12 @@
 """Check the declarations of an operator class against the contract before it is used.
 
 A user's class may declare anything: inputs without a message type, settings that cannot be parsed,
-commands without a method. Every loader of operators uses these checks, so that each mistake has
-one error message.
+commands without a method, methods that cannot be called as the runtime calls them. Every loader of
+operators uses these checks, so that each mistake has one error message.
 """
 
+import inspect
+from collections.abc import Callable, Sequence
 from dataclasses import is_dataclass
 from typing import Any, get_args
 
@@ -12,7 +14,16 @@ from pipeline import settings as checked
 from pipeline.cause import cause_of, is_signal
 from pipeline.class_cache import cached_by_class
 from pipeline.commands import commands_of
-from pipeline.contract import Input, Keep, Operator, inputs_of, live_of, outputs_of, settings_of
+from pipeline.contract import (
+    Input,
+    Keep,
+    Operator,
+    handlers_of,
+    inputs_of,
+    live_of,
+    outputs_of,
+    settings_of,
+)
 from pipeline.errors import FoveaError, GraphError
 from pipeline.graph.limits import EDGE, check_numbers
 from pipeline.messages import Message
@@ -20,6 +31,7 @@ from pipeline.naming import check_name
 from pipeline.wording import shown
 
 FLAGS = ("join", "optional", "command", "tap")
+CALLED = ("open", "close", "on_stream", "on_settings", "state", "restore", "summary", "produce")
 
 
 @cached_by_class
@@ -37,6 +49,7 @@ def check_declarations(operator: type[Operator[Any, Any]]) -> None:
             _check_names(getattr(operator, name), f"{where}.{name}")
         live_of(operator)
         commands_of(operator)
+        _check_methods(operator, where)
     except FoveaError as error:
         raise GraphError(str(error)) from error
     except Exception as error:
@@ -80,3 +93,43 @@ def _check_message(message: object, place: str) -> None:
 def _check_names(names: object, place: str) -> None:
     if not isinstance(names, (tuple, list)) or not all(isinstance(n, str) for n in names):
         raise GraphError(f"{place}: expected a tuple of names, got {shown(names)}")
+
+
+def _check_methods(operator: type[Operator[Any, Any]], where: str) -> None:
+    """Raise `GraphError` for a method that cannot be called as the runtime calls it.
+
+    Whether there is a handler is checked where the inputs are connected.
+    """
+    _check_arguments(operator, "__init__", ("settings",), where)
+    handlers = handlers_of(operator)
+    for name, inputs in handlers.items():
+        _check_arguments(operator, name, inputs, where, by_name=True)
+    for name in (*handlers, *CALLED, *(f"do_{command}" for command in operator.commands)):
+        method = getattr(operator, name, None)
+        if inspect.iscoroutinefunction(method) or inspect.isasyncgenfunction(method):
+            raise GraphError(f"{where}.{name}: expected def, got async def")
+
+
+def _check_arguments(
+    operator: type[Any], name: str, wanted: Sequence[str], where: str, *, by_name: bool = False
+) -> None:
+    """Raise `GraphError` unless a method takes these arguments; what has no signature is let by."""
+    known = _signature(inspect.getattr_static(operator, name, None), operator)
+    if known is None:
+        return
+    try:
+        known.bind(**dict.fromkeys(wanted)) if by_name else known.bind(*wanted)
+    except TypeError as error:
+        expected, got = (", ".join(names) or "none" for names in (wanted, known.parameters))
+        place = f"{where}.{name}: expected the arguments"
+        raise GraphError(f"{place} {expected}, got {got}") from error
+
+
+def _signature(method: Any, operator: type[Any]) -> inspect.Signature | None:
+    """Return what a method of an instance takes behind `self`; None where it cannot be known."""
+    bind: Callable[..., Any] | None = getattr(method, "__get__", None)
+    try:  # not that of what it wraps: a wrapper is called with its own arguments
+        bound = bind(object(), operator) if bind else method
+        return inspect.signature(bound, follow_wrapped=False)
+    except Exception:  # a property, a function of C, or whatever a descriptor does
+        return None

@@ -157,7 +157,8 @@ class Executor:
     def _find(self, names: tuple[str, ...]) -> Callable[..., Any]:
         handler = handler_of(self._operator, names)
         try:
-            inspect.signature(handler).bind(**dict.fromkeys(names))
+            known = inspect.signature(handler, follow_wrapped=False)
+            known.bind(**dict.fromkeys(names))
         except ValueError:
             pass  # a function without an inspectable signature
         except TypeError as error:

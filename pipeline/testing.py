@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.contract import Operator, inputs_of, joined, settings_of
+from pipeline.declarations import check_declarations
 from pipeline.errors import RunError
 from pipeline.executor import Executor, carried, open_operator
 from pipeline.messages import Geometry, Header, Message, altered
+from pipeline.node.operator_state import check_state
 from pipeline.settings import build, suggest
 
 
@@ -29,9 +31,11 @@ def drive(
     to that input. Returns what each handler returned: a message, a mapping of named outputs to
     messages, or None.
 
-    Raises `FoveaError` where a graph would: for wrong settings, messages or return values. As in
-    a graph, the operator cannot write into the arrays it receives.
+    Raises `FoveaError` where a graph would: for wrong declarations, settings, messages or return
+    values, and for a `state()` that no swap could carry over. As in a graph, the operator cannot
+    write into the arrays it receives.
     """
+    check_declarations(operator)
     name = operator.__qualname__
     subject = operator(build(settings_of(operator), settings or {}, name))
     executor = Executor(name, subject)
@@ -46,6 +50,7 @@ def drive(
                 subject.on_stream(seen)
                 stream = seen.stream
             answers.append(_checked(executor, arguments, name))
+        check_state(name, subject)
     finally:
         subject.close()
     return answers

@@ -28,6 +28,37 @@ class Settings:
     x: int = 1
 
 """
+HANDLER = "class Part(Operator[Settings, Frame]):\n    frame = Input(Frame)\n    {}\n"
+METHODS = {  # source of a method, and its error
+    "a handler of two": (
+        "def on_frame(self, frame, other): pass",
+        "on_frame: expected the arguments frame, got frame, other",
+    ),
+    "a handler of another name": (
+        "def on_frame(self, picture): pass",
+        "on_frame: expected the arguments frame, got picture",
+    ),
+    "a handler of none": (
+        "def on_frame(self): pass",
+        "on_frame: expected the arguments frame, got none",
+    ),
+    "a handler by position": (
+        "def on_frame(self, frame, /): pass",
+        "on_frame: expected the arguments frame, got frame",
+    ),
+    "no argument for settings": (
+        "def __init__(self): pass",
+        "__init__: expected the arguments settings, got none",
+    ),
+    "an asynchronous handler": (
+        "async def on_frame(self, frame): pass",
+        "on_frame: expected def, got async def",
+    ),
+    "an asynchronous opening": (
+        "async def open(self): pass",
+        "open: expected def, got async def",
+    ),
+}
 CLASSES = {
     "live is no tuple": "class Part(Operator[Settings, None]):\n    live = 5\n",
     "live is a text": "class Part(Operator[Settings, None]):\n    live = 'x'\n",
@@ -58,6 +89,7 @@ CLASSES = {
     ),
     "an output of no message": "class Part(Operator[Settings, None]):\n    out = Output(int)\n",
     "no settings": "class Part(Operator):\n    pass\n",
+    **{what: HANDLER.format(method) for what, (method, _said) in METHODS.items()},
     "settings that are no dataclass": "class Part(Operator[int, None]):\n    pass\n",
     "settings whose types do not resolve": (
         "@dataclass\nclass S:\n    x: 'Nowhere' = 1\nclass Part(Operator[S, None]):\n    pass\n"

@@ -92,15 +92,6 @@ class Named(Operator[WrongSettings, Mapping[str, Message]]):
         return {"picture": frame, "report": frame}
 
 
-class Misnamed(Operator[WrongSettings, Frame]):
-    """Its handler has another name for the input."""
-
-    frame = Input(Frame, keep="every")
-
-    def on_frame(self, picture: Frame) -> Frame:
-        return picture
-
-
 class Deaf(Operator[WrongSettings, Frame]):
     """Has no handler for its input."""
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from pipeline import codec
 from pipeline import settings as checked
-from pipeline.contract import Input, Operator, inputs_of, joined, outputs_of, settings_of
+from pipeline.contract import Input, Operator, handlers_of, inputs_of, outputs_of, settings_of
 from pipeline.errors import GraphError, SettingsError
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Clock, Edge, Node, Plan, load_operator, no_output
@@ -162,13 +162,7 @@ class _LoadedNode:
         return values
 
     def _check_handlers(self) -> None:
-        groups: list[tuple[str, ...]] = [
-            (n,) for n, i in self.inputs.items() if i.command or not i.join
-        ]
-        if together := joined(self.operator):
-            groups.append(together)
-        for names in groups:
-            handler = "on_" + "_".join(names)
+        for handler in handlers_of(self.operator):
             if not callable(getattr(self.operator, handler, None)):
                 what = f"{self.name}: {self.operator.__name__} has no {handler}"
                 self.file.fail(self.spec.entry, "operator", what)

@@ -28,16 +28,8 @@ def restore(operator: Operator[Any, Any], data: bytes, *, must: bool = False) ->
     Raises `RunError` when `restore` itself fails, and for another type if `must`, i.e. between two
     instances of one class.
     """
-    cls = type(operator)
     try:
-        kind = state_type(cls)
-        if kind is None:
-            raise MessageError("its state() names no dataclass as what it returns")
-        if cls.restore is Operator.restore:
-            raise MessageError("it declares state() and no restore()")
-        if data[:8] != codec.fingerprint(kind):
-            raise MessageError(f"{kind.__name__} has other fields than before")
-        state = codec.loads(kind, data)
+        state = _loaded(type(operator), data)
     except MessageError as error:
         if must:
             raise RunError(f"the state cannot be carried over: {error}{WITHOUT}") from error
@@ -47,6 +39,28 @@ def restore(operator: Operator[Any, Any], data: bytes, *, must: bool = False) ->
     except Exception as error:
         raise RunError(f"its restore() failed: {cause_of(error)}{WITHOUT}") from error
     return "carried over"
+
+
+def check_state(node: str, operator: Operator[Any, Any]) -> None:
+    """Raise `RunError`, beginning with `node`, for a state that a swap could not carry over."""
+    if (state := operator.state()) is None:
+        return
+    try:
+        _loaded(type(operator), codec.dumps(state))
+    except MessageError as error:
+        raise RunError(f"{node}: a swap cannot carry its state over: {error}") from error
+
+
+def _loaded(cls: type[Operator[Any, Any]], data: bytes) -> Any:
+    """Return a state of this class; raises `MessageError` for one that it does not declare."""
+    kind = state_type(cls)
+    if kind is None:
+        raise MessageError("its state() names no dataclass as what it returns")
+    if cls.restore is Operator.restore:
+        raise MessageError("it declares state() and no restore()")
+    if data[:8] != codec.fingerprint(kind):
+        raise MessageError(f"{kind.__name__} has other fields than before")
+    return codec.loads(kind, data)
 
 
 def class_of(operator: Operator[Any, Any]) -> str:

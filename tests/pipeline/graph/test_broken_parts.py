@@ -1,5 +1,6 @@
 """An error in a user's module or class is reported in one sentence with the line of its cause."""
 
+import re
 import secrets
 import signal
 import subprocess
@@ -17,7 +18,7 @@ from pipeline.graph.loader import load
 from pipeline.graph.plan import load_operator
 from pipeline.import_path import imported
 from pipeline.settings import build
-from tests.broken_parts import CLASSES, ENDING, HEAD, MODULES
+from tests.broken_parts import CLASSES, ENDING, HANDLER, HEAD, METHODS, MODULES
 from tests.commands import command
 from tests.sample_graphs import CHAIN
 
@@ -90,6 +91,46 @@ def test_a_class_with_broken_declarations_is_refused_in_one_sentence(
     assert str(caught.value).startswith(f"{path}:"), str(caught.value)
     assert f"{module.stem}:Part" in str(caught.value) or "broke" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("method", "said"), METHODS.values(), ids=METHODS)
+def test_a_method_that_cannot_be_called_as_it_is_called_is_refused(
+    module: Path, method: str, said: str
+) -> None:
+    module.write_text(HEAD + HANDLER.format(method))
+
+    with pytest.raises(GraphError, match=f"^{re.escape(f'{module.stem}:Part.{said}')}$"):
+        load_operator(f"{module.stem}:Part")
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        "def on_frame(self, frame, more=1): pass",
+        "def on_frame(self, **messages): pass",
+        "@staticmethod\n    def on_frame(frame): pass",
+        "@classmethod\n    def on_frame(cls, frame): pass",
+        "on_frame = functools.partialmethod(lambda self, more, frame: None, 1)",
+        "@wrapped\n    def on_frame(self, frame, more): pass",
+        "on_frame = property(lambda self: self._handle)",
+        "on_frame = dict",
+        "def __init__(self, settings, *, more=1): super().__init__(settings)",
+    ],
+)
+def test_a_method_that_can_be_called_so_is_taken_however_it_is_made(
+    module: Path, method: str
+) -> None:
+    wrapped = (
+        "import functools\n"
+        "def wrapped(method):\n"
+        "    @functools.wraps(method)\n"
+        "    def call(self, frame):\n"
+        "        return method(self, frame, 1)\n"
+        "    return call\n"
+    )
+    module.write_text(HEAD + wrapped + HANDLER.format(method))
+
+    load_operator(f"{module.stem}:Part")
 
 
 def test_a_text_that_is_no_import_path_is_not_imported() -> None:

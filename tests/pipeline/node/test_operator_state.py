@@ -22,12 +22,14 @@ import pytest
 from pipeline import Operator, RunError
 from pipeline.codec import dumps
 from pipeline.node.operator_state import WITHOUT, UndeclaredState, restore
-from pipeline.testing import header
+from pipeline.testing import drive, header
 from tests.samples import WorkSettings
 from tests.stateful_samples import (
     Counted,
     Counter,
     Forgetful,
+    Loose,
+    Mistaken,
     Recounted,
     Refusing,
     Unnamed,
@@ -273,6 +275,29 @@ def test_a_state_that_cannot_be_carried_over_is_an_error_only_within_one_class(
     with pytest.raises(RunError) as caught:
         restore(cls(WorkSettings()), data, must=True)
     assert str(caught.value) == f"the state cannot be carried over: {said}{WITHOUT}"
+
+
+@pytest.mark.parametrize(
+    ("cls", "said"),
+    [
+        (Unnamed, "its state() names no dataclass as what it returns"),
+        (Unrestored, "it declares state() and no restore()"),
+        (Mistaken, "Counted.count: expected int"),
+        (Loose, ""),
+    ],
+)
+def test_a_state_that_no_swap_could_carry_over_fails_the_test_of_its_operator(
+    cls: type[Operator[Any, Any]], said: str
+) -> None:
+    with pytest.raises(RunError) as caught:
+        drive(cls, [])
+
+    assert str(caught.value).startswith(f"{cls.__name__}: a swap cannot carry its state over: ")
+    assert said in str(caught.value)
+
+
+def test_a_state_that_a_swap_carries_over_passes() -> None:
+    assert drive(Counter, []) == []
 
 
 def test_a_restore_that_fails_is_an_error_whatever_it_raises() -> None:
