@@ -49,11 +49,14 @@ def move(example: Example, rng: np.random.Generator) -> Example:
     if zoom == 1.0 and mirror == 1.0:
         return example
     matrix = np.array([[mirror * zoom, 0, x], [0, zoom, y]], np.float64)
+    # boxes are of edges; OpenCV maps pixels by their number, whose centres lie at halves
+    pixels = matrix.copy()
+    pixels[:, 2] += (matrix[[0, 1], [0, 1]] - 1) / 2
     fill = tuple(int(v) for v in rng.integers(0, 256, 3))
-    picture = cv2.warpAffine(example.picture, matrix, (width, height), borderValue=fill)
+    picture = cv2.warpAffine(example.picture, pixels, (width, height), borderValue=fill)
     difference = example.difference
     if difference is not None:
-        difference = np.asarray(cv2.warpAffine(difference, matrix, (width, height)), np.float32)
+        difference = np.asarray(cv2.warpAffine(difference, pixels, (width, height)), np.float32)
     boxes = example.boxes * np.float32(zoom)
     if mirror < 0:
         boxes = boxes[:, [2, 1, 0, 3]] * np.array([-1, 1, -1, 1], np.float32)

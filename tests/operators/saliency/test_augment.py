@@ -31,6 +31,30 @@ def test_a_moved_box_still_frames_its_object(seed: int) -> None:
         assert inside.mean() > 0.85
 
 
+def test_the_light_of_a_moved_object_stays_in_the_middle_of_its_box() -> None:
+    picture = np.zeros((270, 480, 3), np.uint8)
+    picture[120:140, 230:250] = 255
+    box = np.array([[230, 120, 250, 140]], np.float32)
+    item = Example(
+        picture=picture, boxes=box, labels=np.zeros(1, np.int64), ignored=np.zeros(1, np.bool_)
+    )
+    apart = []
+
+    for seed in range(60):
+        moved = move(item, np.random.default_rng(seed))
+        middle = (moved.boxes[0, :2] + moved.boxes[0, 2:]) / 2
+        left, top = (middle - 24).astype(int)
+        part = np.s_[top : top + 48, left : left + 48]
+        light = moved.picture[part].astype(float).sum(2)
+        if light.shape == (48, 48) and not light[[0, -1]].any() and not light[:, [0, -1]].any():
+            y, x = np.mgrid[part] + 0.5
+            seen = np.array([(light * x).sum(), (light * y).sum()]) / light.sum()
+            apart.append(np.abs(seen - middle).max())
+
+    assert len(apart) > 30  # the others are at the edge of the picture
+    assert max(apart) < 0.2  # OpenCV places in steps of a 32nd pixel
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_pasted_balls_are_labelled_where_the_picture_changed(seed: int) -> None:
     plain = grass_with_player(seed)
