@@ -142,7 +142,7 @@ class Association(Operator[AssociationSettings, Tracks]):
             )
         if seq <= table.seq:
             raise MessageError(f"association: expected a frame after {table.seq}, got {seq}")
-        if table.seq < 0 or seq - table.seq > s.max_missed + 1:
+        if not len(table.ids) or seq - table.seq > s.max_missed + 1:
             nobody = empty(s.observed, channels, detections.names)
             return replace(nobody, seq=seq, next_id=table.next_id)
         return advance(table, seq, self._model)

@@ -1,5 +1,7 @@
 """Detections -> Tracks: identity, gaps, prediction, beginning and end."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -153,6 +155,31 @@ def test_the_command_forget_discards_all_objects_and_their_ids_are_not_reused():
     after = operator.on_detections(seen(3, (100, 100, 20, 0)))
 
     assert before.ids.tolist() != after.ids.tolist()
+    assert len(after.ids) == 1
+
+
+def wide(frame: Detections, channels: int) -> Detections:
+    return replace(frame, features=np.ones((len(frame.boxes), channels), np.float32))
+
+
+@pytest.mark.parametrize("before", ["forgotten", "all objects ended", "an empty picture"])
+def test_another_detector_may_follow_where_no_object_is_left(before: str):
+    operator = Association(AssociationSettings(confirm=1, max_missed=2))
+    operator.open()
+    if before == "an empty picture":
+        operator.on_detections(wide(seen(0), 0))
+    else:
+        for k in range(2):
+            operator.on_detections(wide(seen(k, (100, 100, 20, 0)), 64))
+    if before == "forgotten":
+        operator.do_forget()
+    elif before == "all objects ended":
+        for k in range(2, 8):
+            operator.on_detections(wide(seen(k), 64))
+
+    after = operator.on_detections(wide(seen(8, (100, 100, 20, 0)), 96))
+
+    assert after.features.shape[2] == 96
     assert len(after.ids) == 1
 
 
