@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from operators.reader.ocr import MOST_LETTERS, Reading
 from operators.reader.reader import Reads, TextReader, check_reader
 from pipeline import Frame, SettingsError
-from pipeline.boxes import covered, in_picture
+from pipeline.boxes import boxes_at, covered, in_picture
 from pipeline.errors import WeightsError
 from pipeline.inference import Network
 from pipeline.providers import NetworkSettings
@@ -81,7 +81,9 @@ class OnnxReader(LineReader[OnnxReaderSettings]):
         """Read each track that the picture shows nearly whole, the surest first."""
         if self._tracks is None or not len(self._tracks.ids):
             return []
-        boxes = self._tracks.boxes[:, -1]
+        boxes = boxes_at(self._tracks, frame.header.seq)  # the tracks may be of an earlier frame
+        if boxes is None:
+            return []
         shown = covered(boxes, np.array(frame.window, np.float32)) >= INSIDE
         rows = np.flatnonzero(shown)
         rows = rows[np.argsort(-self._tracks.scores[rows], kind="stable")][:MOST_LINES]

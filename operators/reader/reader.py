@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.reader.instances import Instance, Instances
-from operators.reader.ocr import PaddleOcr, Reading, check_files
+from operators.reader.ocr import SAME_IOU, PaddleOcr, Reading, check_files
 from pipeline import Frame, Header, Input, Operator, Percept, SettingsError, Tracks
+from pipeline.boxes import iou
 from pipeline.errors import MessageError
 from pipeline.messages import Boxes, Ids, Shape
 
@@ -101,15 +102,17 @@ class TextReader(Operator[S, Percept]):
 
     def on_context_roi(self, context: Frame, roi: Frame) -> Percept:
         """Read this exposure, and answer with all that is known."""
-        frames = {"roi": [roi], "context": [context], "both": [context, roi]}[self.reads]
+        frames = {"roi": [roi], "context": [context], "both": [roi, context]}[self.reads]
         readings: list[Reading] = []
         boxes: list[NDArray[np.float32]] = []
         for frame in frames:
             if frame.pixels.size:
                 check_pixels(frame)
-                found = self.read(frame)
-                readings += found
-                boxes += [on_sensor(reading, frame) for reading in found]
+                found = [(reading, on_sensor(reading, frame)) for reading in self.read(frame)]
+                # of what both show the ROI has more pixels
+                new = [(r, box) for r, box in found if not _known(box, boxes)]
+                readings += [reading for reading, _ in new]
+                boxes += [box for _, box in new]
         seq, geometry = roi.header.seq, roi.header.geometry
         self._instances.hear(readings, np.array(boxes, np.float32).reshape(-1, 4), seq)
         self._frames, self._readings = self._frames + 1, self._readings + len(readings)
@@ -211,3 +214,8 @@ def on_sensor(reading: Reading, frame: Frame) -> NDArray[np.float32]:
     high, wide = frame.pixels.shape[:2]
     scale = np.array([(right - left) / wide, (low - top) / high] * 2)
     return np.asarray(np.array(reading.box) * scale + (left, top, left, top), np.float32)
+
+
+def _known(box: NDArray[np.float32], boxes: list[NDArray[np.float32]]) -> bool:
+    """Whether a box is that of a text which was read already."""
+    return bool(boxes) and float(iou(box[None], np.array(boxes)).max()) > SAME_IOU

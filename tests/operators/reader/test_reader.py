@@ -1,5 +1,6 @@
 """The reader on drawn texts, with the real PP-OCR."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -158,6 +159,29 @@ def test_the_second_reader_reads_where_tracks_are() -> None:
     percept = second.on_context_roi(context(), roi(picture()))
 
     assert percept.texts == ("BAKERY",)
+
+
+def test_the_second_reader_reads_where_tracks_of_an_earlier_frame_foresee_a_text() -> None:
+    second = OnnxReader(OnnxReaderSettings())
+    second.open()
+    before = tracks((155, 362, 292, 396))
+    second.on_tracks(replace(before, predicted=before.boxes + np.float32([300, 0, 300, 0])))
+
+    percept = second.on_context_roi(context(1), roi(picture(), 1))
+
+    assert percept.texts == ("BAKERY",)
+    assert percept.boxes[0] == pytest.approx([455, 362, 592, 396], abs=2)
+
+
+def test_a_text_that_both_pictures_show_is_one_text() -> None:
+    both = Reader(ReaderSettings(reads="both"))
+    both.open()
+    whole = Frame(header=header(), pixels=picture(), window=(0, 0, 1280, 720))
+    near = Frame(header=header(), pixels=picture(), window=(0, 0, 1280, 720))
+
+    percepts = [both.on_context_roi(whole, near) for _ in range(2)]
+
+    assert [percept.texts for percept in percepts] == [("BAKERY",)] * 2
 
 
 def test_the_second_reader_reads_nothing_without_tracks() -> None:
