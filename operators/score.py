@@ -149,7 +149,8 @@ class Score(Operator[ScoreSettings, None]):
             return int(rows[overlap[rows].argmax()]) if len(rows) else -1
         if self._scanpath is not None:
             self._score_shown(foreseen(self._scanpath, percept.header.seq), truth)
-        elif len(percept.boxes):
+        elif len(percept.boxes) and (self._object == NOBODY or self._followed_id != NOBODY):
+            # without a policy; a successor waits for the plan with what was shown before
             self._score_followed(int(percept.ids[0]), truth, overlap)
         rows = np.flatnonzero(truth.ids == self._object)
         return int(rows[0]) if len(rows) else -1

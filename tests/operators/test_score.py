@@ -148,6 +148,19 @@ def test_one_wrong_scanpath_does_not_change_what_counts() -> None:
     assert subject.summary()["iou"]["mean"] == 1.0
 
 
+def test_after_a_swap_what_the_policy_showed_counts_until_it_plans_again() -> None:
+    before = watched(*[(REFEREE, BALL, 4)] * 5)
+    after = Score(ScoreSettings())
+    after.open()
+    after.restore(before.state())
+
+    for seq in range(5, 9):  # the plan comes behind the first frame
+        after.on_percept_truth(percept(seq, REFEREE), truth(seq))
+        after.on_scanpath(scanpath(seq + 1, BALL))
+
+    assert after.summary()["iou"] == {"mean": 0.0, "frames": 9, "answered": 1.0}
+
+
 @pytest.mark.parametrize("choice", [-1, 8])
 def test_a_policy_that_looks_at_a_place_or_at_nothing_still_has_its_target(choice: int) -> None:
     shown = REFEREE if choice < 0 else (600.0, 600.0, 640.0, 640.0)
