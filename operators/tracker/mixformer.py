@@ -86,6 +86,8 @@ class MixFormer:
         }
         self._template_px, self._search_px = sides["img_t"], sides["img_search"]
         self._renew_every = renew_every
+        # some exports end in a sigmoid, others in its argument, as a score outside 0..1 shows
+        self._logits = False
         self._begin()
 
     def start(self, streams: Streams, box: Box) -> None:
@@ -122,7 +124,9 @@ class MixFormer:
         answers = self._network(self._feeds)
         # several boxes vote; each is centre and size in units of the look's side
         found = answers["pred_boxes"].reshape(-1, 4).mean(0)
-        score = probability(float(answers["pred_scores"].reshape(-1)[0]))
+        score = float(answers["pred_scores"].reshape(-1)[0])
+        self._logits = self._logits or not 0 <= score <= 1
+        score = float(1 / (1 + np.exp(-score))) if self._logits else score
         corner = centres(box) - side / 2
         now = from_centres(found[:2] * side + corner, found[2:] * side).astype(np.float32)
         self._renew(streams, now, score)
@@ -152,15 +156,6 @@ def weights_of(settings: MixFormerTrackerSettings) -> Path:
         got = path if settings.weights else "nothing"
         raise WeightsError(f"weights: expected MixFormerV2 as an ONNX file, got {got}")
     return path
-
-
-def probability(score: float) -> float:
-    """Some exports end in a sigmoid, others in its argument.
-
-    >>> probability(0.75), round(probability(-2.0), 3)
-    (0.75, 0.119)
-    """
-    return score if 0 <= score <= 1 else float(1 / (1 + np.exp(-score)))
 
 
 def _side_px(weights: Path, name: str, shape: list[int | str]) -> int:

@@ -74,6 +74,19 @@ def test_the_mean_of_the_boxes_is_returned_in_sensor_pixels(tmp_path: Path) -> N
     assert 0 < score < 1
 
 
+def test_scores_outside_a_probability_show_that_all_are_logits(tmp_path: Path) -> None:
+    subject = MixFormer(network(tmp_path / "m.onnx"))
+    box = np.array([380, 280, 420, 320], np.float32)
+    scores = []
+
+    for level in (40, 130, 140, 250):  # means of about -1.3, .2, .4 and 2.4
+        subject.start(grey(level), box)
+        scores.append(subject.follow(grey(128), box)[1])
+
+    assert scores == sorted(scores)
+    assert 0 < scores[0] < 0.3 < 0.5 < scores[1]
+
+
 def test_the_look_with_the_best_score_becomes_the_second_template_after_some_frames(
     tmp_path: Path,
 ) -> None:
