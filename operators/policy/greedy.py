@@ -110,7 +110,8 @@ class GreedyPolicy(ClassPolicy[GreedyPolicySettings]):
         """Plan the frames after this one."""
         s, self._names = self.settings, tracks.names
         now = brought_up(self._state, tracks)
-        fit = of_class(tracks, s.target)
+        boxes = np.concatenate([tracks.boxes[:, -1:], tracks.predicted], axis=1)
+        fit = of_class(tracks, s.target) & np.isfinite(boxes).all(axis=(1, 2))
         plan, self._state = greedy(tracks, now, fit, s)
         return scanpath(tracks, plan)
 

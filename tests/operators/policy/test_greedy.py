@@ -1,5 +1,7 @@
 """The greedy policy: where a window gains most, by age of the last look and doubt."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from operators.policy import GreedyPolicy, GreedyPolicySettings
@@ -117,6 +119,19 @@ def test_only_objects_of_the_target_class_are_looked_for() -> None:
         found |= set(shown(subject.on_tracks(world), world))
 
     assert found == {5}
+
+
+def test_a_box_that_is_no_number_is_not_looked_for() -> None:
+    world = tracks(0, *FAR)
+    nowhere = world.boxes.copy()
+    nowhere[0] = np.nan
+
+    path = policy().on_tracks(replace(world, boxes=nowhere))
+    alone = policy().on_tracks(replace(world, boxes=np.full_like(nowhere, np.nan)))
+
+    assert shown(path, world) == [2]
+    assert np.isfinite(path.boxes).all()
+    np.testing.assert_allclose((alone.boxes[0, :2] + alone.boxes[0, 2:]) / 2, [960, 540], atol=2)
 
 
 def test_the_probability_of_an_object_is_its_share_of_the_gain() -> None:
