@@ -42,7 +42,7 @@ class Streams:
         x, y = float(centre[0]), float(centre[1])
         square = (x - half, y - half, x + half, y + half)
         inside = common(square, self.roi.window)
-        if inside != square:
+        if common(square, middles(self.roi)) != square:  # beyond them a pixel has half a neighbour
             out[:] = 0
             draw(self.context, square, out)
             for frame in self.further:
@@ -62,6 +62,14 @@ def normalise(look: Picture, out: NDArray[np.float32]) -> None:
     """RGB (h, w, 3) of 8 bit into a network input (1, 3, h, w) in place."""
     np.subtract(look.transpose(2, 0, 1), MEAN[:, None, None], out=out[0])
     out[0] /= DEVIATION[:, None, None]
+
+
+def middles(frame: Frame) -> Rect:
+    """The part of a window between the middles of its outermost pixels."""
+    left, top, right, bottom = frame.window
+    width, height = frame.size_px
+    x, y = (right - left) / max(width, 1) / 2, (bottom - top) / max(height, 1) / 2
+    return left + x, top + y, right - x, bottom - y
 
 
 def common(a: Rect, b: tuple[float, float, float, float]) -> Rect:

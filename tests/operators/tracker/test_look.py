@@ -129,3 +129,16 @@ def test_any_square_can_be_looked_at(x, y, side, out):
 
     assert seen.shape == (out, out, 3)
     assert seen.max() <= 77
+
+
+@pytest.mark.parametrize("before", [0, 7, 255])
+def test_a_look_at_the_edge_of_the_roi_has_nothing_of_the_look_before(before: int):
+    context = Frame(header=header(), pixels=np.full((270, 480, 3), 200, np.uint8), window=FIELD)
+    roi = part(np.full((1080, 1920, 3), 200, np.uint8), (640, 270, 1120, 540))
+    scratch = {128: np.full((128, 128, 3), before, np.uint8)}
+
+    seen = Streams(context=context, roi=roi, scratch=scratch).look(
+        np.array([672, 302], np.float32), 64, 128
+    )
+
+    assert (seen == 200).all()
