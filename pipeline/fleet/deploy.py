@@ -7,7 +7,7 @@ setting is sent as its checksum; a host that lacks the file receives it if its a
 import getpass
 import logging
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -116,9 +116,10 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
     endpoints = {name: point for said in prepared.values() for name, point in said.items()}
     points = {label: fleet.hosts.points[label] for label in used}
     before = remembered().get(plan.name)
-    remember(
-        plan.name, Hosts(points, fleet.hosts.credentials, {n.name: n.host for n in plan.nodes})
-    )
+    new = Hosts(points, fleet.hosts.credentials, {n.name: n.host for n in plan.nodes})
+    former = {} if before is None else before.points
+    # with the former hosts until their graph is stopped: this process may be killed before
+    remember(plan.name, replace(new, points={**former, **points}))
     started: list[str] = []
     concerned = partners(plan)
 
@@ -132,26 +133,53 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
         fleet.each(start, used)
         _await(fleet, plan.name, used)
     except BaseException:  # also Ctrl-C
-        said = fleet.each(lambda label: _down(fleet, label, plan.name), started)
-        left = list(filter(None, said.values()))
-        for why in left:
-            log.error("%s may still run: %s", plan.name, why)
-        if not left and before is None:
-            forget(plan.name)
+        _undo(fleet, plan.name, new, before, started)
         raise
     if before is not None:
-        _leave(plan.name, before, used)
+        remember(plan.name, replace(new, points={**_leave(plan.name, before, used), **points}))
 
 
-def _leave(graph: str, before: Hosts, used: Iterable[str]) -> None:
-    """Stop a former graph of that name on hosts that the new one does not use."""
-    points = {label: point for label, point in before.points.items() if label not in used}
-    if not points:
+def _undo(
+    fleet: Fleet, graph: str, new: Hosts, before: Hosts | None, started: Iterable[str]
+) -> None:
+    """Stop a graph where it was started; remember the hosts on which one of its name may run."""
+    said = fleet.each(lambda label: _down(fleet, label, graph), started)
+    left = {label: why for label, why in said.items() if why}
+    for why in left.values():
+        log.error("%s may still run: %s", graph, why)
+    old = _without(before, said) if before is not None else Hosts({})
+    if old.points:
+        log.warning("%s of before still runs on %s", graph, ", ".join(old.points))
+    new = _without(new, new.points.keys() - left)
+    if not (old.points or new.points):
+        forget(graph)
         return
-    with Fleet(replace(before, points=points)) as fleet:
-        for label in points:
+    both = replace(old if old.points else new, points={**old.points, **new.points})
+    remember(graph, replace(both, nodes={**old.nodes, **new.nodes}))
+
+
+def _without(hosts: Hosts, labels: Collection[str]) -> Hosts:
+    """Return hosts without some of them and the nodes there."""
+    points = {label: point for label, point in hosts.points.items() if label not in labels}
+    nodes = {node: label for node, label in hosts.nodes.items() if label in points}
+    return replace(hosts, points=points, nodes=nodes)
+
+
+def _leave(graph: str, before: Hosts, used: Collection[str]) -> dict[str, str]:
+    """Stop a former graph of that name on hosts that the new one does not use.
+
+    Returns the end points of hosts on which it may still run.
+    """
+    left: dict[str, str] = {}
+    former = _without(before, used)
+    if not former.points:
+        return left
+    with Fleet(former) as fleet:
+        for label, point in former.points.items():
             if why := _down(fleet, label, graph):
                 log.error("%s of before may still run: %s", graph, why)
+                left[label] = point
+    return left
 
 
 def attach(graph: str, fleet: Fleet) -> list[str]:
