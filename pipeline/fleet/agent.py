@@ -44,7 +44,6 @@ class Agent:
         """`reaper`: of this process, if it may adopt orphans of nodes."""
         self.host, self.label = own, own.label
         self._allowed = own.allowed
-        self._gateway = NodeGateway(self._allowed, own.file.settings)
         self._taps = TapRelay()
         self._questions = Questions()
         self.hosted: dict[str, HostedGraph] = {}
@@ -52,6 +51,7 @@ class Agent:
         self._stop = threading.Event()
         own.state.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._store = GraphStore(own.state)
+        self._gateway = NodeGateway(self._allowed, own.file.settings, self._store)
         inspector = Inspector(own.state, self._stop.is_set, reaper)
         self._admission = Admission(own, self._allowed, inspector, self._store, self.hosted, reaper)
         identities = self._admission.identities

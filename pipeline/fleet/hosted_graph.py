@@ -29,10 +29,11 @@ from pipeline.node.wiring import CLOCKS
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import decode, encode, refused
 from pipeline.protocol.fleet import Accounts
-from pipeline.protocol.orders import RESULT, PlanOrder, Refused
+from pipeline.protocol.orders import RESULT, PlanOrder, Refused, SwapOrder
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.reaper import Reaper
 from pipeline.run.supervisor import Supervisor
+from pipeline.run.swap_target import swapped
 from pipeline.text import error_text
 
 WAIT_FOR_OTHERS_S = 60.0  # after this time, sources begin without the other hosts
@@ -263,17 +264,41 @@ def change(
         before, plan=asked.plan, fingerprints=fingerprints, identity=identity_of(before)
     )
 
-    def done(result: bytes) -> None:
-        if not isinstance(decode(RESULT, result), Refused):
-            hosted.plan, hosted.ports = local, ports
-            try:
-                store.keep(name, start)
-            except FoveaError as error:
-                reply(encode(refused(f"it was changed, but a restart will lose it: {error}")))
-                return
-        reply(encode(wire.Relayed(result)))
+    def keep() -> None:
+        hosted.plan, hosted.ports = local, ports
+        store.keep(name, start)
 
-    supervisor.control.ask(encode(PlanOrder(plan=local, revision=asked.revision)), done)
+    order = encode(PlanOrder(plan=local, revision=asked.revision))
+    supervisor.control.ask(order, lambda result: reply_kept(result, keep, reply))
+
+
+def keep_swap(
+    hosted: HostedGraph, supervisor: Supervisor, asked: SwapOrder, local: SwapOrder,
+    store: GraphStore,
+) -> None:  # fmt: skip
+    """Store what a swap has changed, so that no restart undoes it; raises `FoveaError`.
+
+    `asked` is the order as it came and `local` the one with this host's files and settings, which
+    a stored plan does not contain. Nor does it contain live changes.
+    """
+    plan = swapped(hosted.plan, local, {})
+    operator = plan.node(local.node).operator
+    ports = supervisor.manager.ports_of(plan.node(local.node))
+    hosted.plan, hosted.ports = plan, {**hosted.ports, operator: ports}
+    before = store.asked(plan.name)
+    after = swapped(before.plan, asked, {})
+    store.keep(plan.name, msgspec.structs.replace(before, plan=after, identity=identity_of(before)))
+
+
+def reply_kept(result: bytes, keep: Callable[[], None], reply: Callable[[bytes], None]) -> None:
+    """Keep what an order has changed, and reply with its result; on the supervisor's thread."""
+    if not isinstance(decode(RESULT, result), Refused):
+        try:
+            keep()
+        except FoveaError as error:
+            reply(encode(refused(f"it was changed, but a restart will lose it: {error}")))
+            return
+    reply(encode(wire.Relayed(result)))
 
 
 def check_inside(before: Plan, wanted: Plan, label: str) -> None:

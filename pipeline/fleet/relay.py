@@ -14,13 +14,15 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from threading import BoundedSemaphore
 from typing import Any
 
 import msgspec
 
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet.hosted_graph import HostedGraph
+from pipeline.fleet.agent_file import GraphStore
+from pipeline.fleet.hosted_graph import HostedGraph, keep_swap, reply_kept
 from pipeline.fleet.placement import Allowed
 from pipeline.naming import check_name
 from pipeline.node.wiring import key_of
@@ -46,9 +48,11 @@ log = logging.getLogger(__name__)
 class NodeGateway:
     """Forwards requests to the nodes of a host."""
 
-    def __init__(self, allowed: Allowed, over: Mapping[str, Mapping[str, Any]]) -> None:
+    def __init__(
+        self, allowed: Allowed, over: Mapping[str, Mapping[str, Any]], store: GraphStore
+    ) -> None:
         """`over`: settings that this host fixes, by node; nobody else may change them."""
-        self._allowed, self._over = allowed, over
+        self._allowed, self._over, self._store = allowed, over, store
         self._pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="gateway")
         self._room = BoundedSemaphore(AT_ONCE + WAITING)
 
@@ -82,12 +86,13 @@ class NodeGateway:
         if order.operator:
             self._allowed.check_code(order.operator, f"{order.node}.operator")
         changes = {**self._cleared_values(order.node, order.changes), **self._own(order.node)}
-        order = msgspec.structs.replace(order, changes=changes)
+        local = msgspec.structs.replace(order, changes=changes)
 
         def done(result: bytes) -> None:
-            reply(encode(wire.Relayed(result)))
+            keep = partial(keep_swap, hosted, supervisor, order, local, self._store)
+            reply_kept(result, keep, reply)
 
-        supervisor.control.ask(encode(order), done)
+        supervisor.control.ask(encode(local), done)
 
     def _answer(self, answer: Callable[[], ControlMessage], reply: Reply) -> None:
         try:

@@ -5,7 +5,7 @@ Hot and cold swaps access the process manager and the ledger only through this c
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -217,13 +217,8 @@ class SwapTarget:
 
     def changed(self, order: SwapOrder) -> Plan:
         """Return the plan with the new operator and settings."""
-        node, plan = self.node, self._manager.plan
         self._told = kept(self._live_file())
-        settings = {} if order.defaults else {**node.settings, **self._told}
-        fresh = replace(
-            node, operator=order.operator or node.operator, settings={**settings, **order.changes}
-        )
-        return replace(plan, nodes=tuple(fresh if n.name == node.name else n for n in plan.nodes))
+        return swapped(self._manager.plan, order, self._told)
 
     def told_since(self) -> bool:
         """Whether a live setting was changed since `changed`."""
@@ -251,3 +246,13 @@ class SwapTarget:
 
     def _outgoing(self) -> list[EdgeAccount]:
         return self._manager.accounts(self._managed, outgoing=True)
+
+
+def swapped(plan: Plan, order: SwapOrder, told: Mapping[str, Any]) -> Plan:
+    """Return a plan with the operator and settings of an order; `told`: the live changes."""
+    node = plan.node(order.node)
+    settings = {} if order.defaults else {**node.settings, **told}
+    fresh = replace(
+        node, operator=order.operator or node.operator, settings={**settings, **order.changes}
+    )
+    return replace(plan, nodes=tuple(fresh if n.name == node.name else n for n in plan.nodes))

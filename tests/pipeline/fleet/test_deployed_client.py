@@ -15,7 +15,7 @@ from pipeline.fleet.deploy import Fleet, down, up
 from pipeline.fleet.hosted_graph import HostedGraph, change, check_inside
 from pipeline.fleet.remembered import remembered
 from pipeline.protocol import fleet as wire
-from pipeline.protocol.orders import TopologyResult
+from pipeline.protocol.orders import SwapOrder, TopologyResult
 from tests.pipeline.fleet.agents import (
     DUO,
     Running,
@@ -113,6 +113,36 @@ def test_nodes_are_added_on_both_hosts_rewired_and_removed_while_the_graph_runs(
     until(lambda: phases(fleet, "brain", "duo") == ["running"])
     goes_on(fleet, "brain", "tally")
     assert {n.name for n in state_of(fleet, "brain", "duo").nodes} == {"work", "count", "tally"}
+
+
+def test_a_swap_survives_restarts_of_the_graph_and_of_the_agent(
+    two: dict[str, Running], fleet: Fleet, tmp_path: Path
+) -> None:
+    def work_has_state() -> bool:
+        try:
+            settings = find("duo").configure("work", {}).settings
+        except FoveaError:  # it starts
+            return False
+        assert (settings["hold"], settings["every"]) == (2, 1)
+        return find("duo").schema("work").operator == "tests.samples:PassEvery"
+
+    until(lambda: handled(fleet, "brain", "count", "duo") > 10)
+    order = SwapOrder(node="work", operator="tests.samples:PassEvery", changes={"hold": 2})
+    find("duo").swap(order)
+    supervisor = two["brain"].agent.hosted["duo"].supervisor
+    assert supervisor is not None
+
+    supervisor.manager.failure = "made to fail"
+
+    until(lambda: two["brain"].agent.hosted["duo"].supervisor not in (None, supervisor))
+    until(work_has_state)
+    find("duo").add(more(tmp_path))  # nor does a change of other nodes
+    assert work_has_state()
+    two["brain"].stop()
+    two["brain"] = Running(host_of("brain", LABELS, tmp_path))
+    until(lambda: phases(fleet, "brain", "duo") == ["running"])
+    until(work_has_state)
+    goes_on(fleet, "brain", "tally")
 
 
 def test_a_change_is_undone_when_the_next_host_does_not_answer(
