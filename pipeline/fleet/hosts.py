@@ -51,7 +51,7 @@ def read_hosts(words: Iterable[str], credentials: Path | None, labels: Iterable[
 def known_addresses(credentials: Path) -> dict[str, str]:
     """Return the addresses that `fovea secure` stored with credentials: label -> address.
 
-    Raises `SettingsError` for a folder that is not there.
+    Raises `SettingsError` for a folder that is not there, or a file that cannot be read.
     """
     if not credentials.is_dir():
         got = "no such folder; `fovea secure init` makes one"
@@ -61,5 +61,7 @@ def known_addresses(credentials: Path) -> dict[str, str]:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, str])
     except FileNotFoundError:
         return {}
-    except msgspec.MsgspecError as error:
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read: {error.strerror}") from error
+    except (msgspec.MsgspecError, ValueError) as error:  # the latter: it is no UTF-8
         raise SettingsError(f"{path}: expected label: address, got {error}") from error

@@ -6,23 +6,24 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+import msgspec
+
 from pipeline.errors import RunError
 from pipeline.fleet.hosts import Hosts
 from pipeline.whole_file import write_whole
 
 
 def remembered() -> dict[str, Hosts]:
-    """Return the graphs that this user has deployed, and their hosts."""
+    """Return the graphs that this user has deployed, and their hosts; raises `RunError`."""
+    path = _memory()
     try:
-        document = json.loads(_memory().read_text())
-        return {
-            g: Hosts(dict(h["points"]), str(h["credentials"]), dict(h["nodes"]))
-            for g, h in document.items()
-        }
+        return msgspec.json.decode(path.read_bytes(), type=dict[str, Hosts])
     except FileNotFoundError:
         return {}
-    except (ValueError, KeyError, TypeError) as error:
-        raise RunError(f"{_memory()}: not what `fovea up` wrote: {error}") from error
+    except OSError as error:
+        raise RunError(f"{path}: cannot be read: {error.strerror}") from error
+    except (msgspec.MsgspecError, ValueError) as error:  # the latter: it is no UTF-8
+        raise RunError(f"{path}: not what `fovea up` wrote: {error}") from error
 
 
 def remember(graph: str, hosts: Hosts) -> None:
