@@ -13,7 +13,7 @@ from pipeline.private_folder import PrivateFolder
 from pipeline.run.rundir import folder_of, running
 from pipeline.text import harmless
 
-MOST_BYTES = 1 << 20  # read at once
+MOST_PART_BYTES = 256 << 10  # a byte that is no UTF-8 is sent as three
 FOLLOW_S = 0.2  # between two looks for new lines
 
 
@@ -46,10 +46,10 @@ def log_part(
     """
     with _log_path(graph, node).open("rb") as file:
         size = file.seek(0, os.SEEK_END)
-        start = max(0, size - MOST_BYTES) if begin is None else begin if begin <= size else 0
+        start = max(0, size - MOST_PART_BYTES) if begin is None else begin if begin <= size else 0
         file.seek(start)
-        rows = file.read(MOST_BYTES).splitlines(keepends=True)
-    if rows and not rows[-1].endswith(b"\n") and len(rows[-1]) < MOST_BYTES:
+        rows = file.read(MOST_PART_BYTES).splitlines(keepends=True)
+    if rows and not rows[-1].endswith(b"\n") and len(rows[-1]) < MOST_PART_BYTES:
         del rows[-1]  # it is still written
     kept = rows[max(0, len(rows) - count) :] if begin is None else rows[:count]
     end = start + sum(map(len, rows if begin is None else kept))

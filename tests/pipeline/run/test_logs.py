@@ -8,6 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.fleet.agent import MOST_LINES
+from pipeline.protocol.codec import MOST_BYTES, decode_answer, encode
+from pipeline.protocol.fleet import Log
 from pipeline.run import logs
 from pipeline.run.logs import log_lines, log_part
 from pipeline.run.rundir import folder_of
@@ -108,8 +111,20 @@ def test_no_lines_are_none(graph: str) -> None:
     assert log_part(graph, "work", 1) == (("two",), 8)
 
 
+@pytest.mark.parametrize("begin", [None, 0])
+@pytest.mark.parametrize("length", [10, 400, 2000])
+def test_a_part_that_is_no_text_fits_into_an_answer_of_an_agent(
+    graph: str, length: int, begin: int | None
+) -> None:
+    log_of(graph).write_bytes((b"\xff" * length + b"\n") * (MOST_BYTES // length))
+
+    lines, end = log_part(graph, "work", MOST_LINES, begin)
+
+    assert decode_answer(Log, encode(Log(lines, end))).lines == lines != ()
+
+
 def test_a_very_long_log_is_read_in_parts(graph: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(logs, "MOST_BYTES", 10)
+    monkeypatch.setattr(logs, "MOST_PART_BYTES", 10)
     log_of(graph).write_text("one\ntwo\nthree\nfour\n")
 
     last, end = log_part(graph, "work", 9)
