@@ -69,7 +69,7 @@ def agent_command(
     if unit:
         config = config or Path("agent.yaml")
         known = read(config).state if config.is_file() else config.resolve().parent
-        click.echo(agent_unit(config, state or known), nl=False)
+        click.echo(agent_unit(config, state or known, told=state is not None), nl=False)
         return
     if config is None and not label:
         raise click.UsageError("give --config FILE or --label LABEL")

@@ -16,7 +16,7 @@ After=network-online.target
 
 [Service]
 Type=exec
-ExecStart={command} agent --config {config}
+ExecStart={command}
 WorkingDirectory={folder}
 Restart=always
 RestartSec=1
@@ -38,13 +38,17 @@ WantedBy=multi-user.target
 """
 
 
-def agent_unit(config: Path, state: Path, user: str = "fovea") -> str:
-    """Return the unit for an agent with that configuration and state folder."""
-    config = config.resolve()
-    command = Path(sys.executable).parent / "fovea"
+def agent_unit(config: Path, state: Path, user: str = "fovea", *, told: bool = False) -> str:
+    """Return the unit for an agent with that configuration and state folder.
+
+    `told`: the folder is an option of the agent and not what its file says.
+    """
+    config, state = config.resolve(), state.resolve()
+    words = ["agent", "--config", str(config), *(["--state", str(state)] if told else [])]
     return UNIT.format(
-        command=command, config=config, folder=config.parent, state=state.resolve(), user=user
-    )
+        command=_command(words), folder=_percent(str(config.parent)),
+        state=_listed(str(state)), user=user,
+    )  # fmt: skip
 
 
 def systemd(plan: Plan, bundle: Bundle) -> str:
@@ -66,26 +70,36 @@ def systemd(plan: Plan, bundle: Bundle) -> str:
 
 def _unit(words: Sequence[str], what: str, *, once: bool = False) -> str:
     """Return a unit of this user in the current folder, where the user's operators may be."""
-    command = " ".join(map(_quoted, [str(Path(sys.executable).parent / "fovea"), *words]))
     return (
         f"[Unit]\nDescription=fovea {what}\nWants=network-online.target\n"
         "After=network-online.target\n\n"
-        f"[Service]\nType={'oneshot' if once else 'exec'}\nExecStart={command}\n"
-        f"WorkingDirectory={str(Path.cwd()).replace('%', '%%')}\nUser={getpass.getuser()}\n"
+        f"[Service]\nType={'oneshot' if once else 'exec'}\nExecStart={_command(words)}\n"
+        f"WorkingDirectory={_percent(str(Path.cwd()))}\nUser={getpass.getuser()}\n"
         f"Restart={'on-failure' if once else 'always'}\nRestartSec=2\n"
         "KillMode=mixed\nTimeoutStopSec=30\nNoNewPrivileges=yes\nLimitNOFILE=65536\n\n"
         "[Install]\nWantedBy=multi-user.target\n"
     )
 
 
-def _quoted(word: str) -> str:
-    """Quote a word for systemd.
+def _command(words: Sequence[str]) -> str:
+    """Return the line that runs `fovea` with these words; there, and only there, $ is special."""
+    words = [str(Path(sys.executable).parent / "fovea"), *words]
+    return " ".join(_listed(word).replace("$", "$$") for word in words)
 
-    >>> _quoted("up"), _quoted("my graph.yaml"), _quoted("100%")
+
+def _listed(word: str) -> str:
+    """Quote a word of a list for systemd.
+
+    >>> _listed("up"), _listed("my graph.yaml"), _listed("100%")
     ('up', '"my graph.yaml"', '100%%')
     """
-    word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    word = _percent(word.replace("\\", "\\\\").replace('"', '\\"'))
     return f'"{word}"' if any(mark in word for mark in " '\"\t\\") else word
+
+
+def _percent(path: str) -> str:
+    """Return a path that is all of a value, so that it needs no quotes."""
+    return path.replace("%", "%%")
 
 
 def _titled(title: str, text: str) -> str:

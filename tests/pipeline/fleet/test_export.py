@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 from ruamel.yaml import YAML
 
-from pipeline.cli.fleet import export_command
+from pipeline.cli.fleet import agent_command, export_command
 from pipeline.errors import GraphError, RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.agent_file import read
@@ -205,6 +205,35 @@ def test_systemd_units_find_their_files_from_any_folder(bundle: Bundle) -> None:
             load(bundle.graph), bundle
         )
         expect_agent(load(bundle.graph), label, bundle.host_folder(label))
+
+
+def test_the_unit_of_an_agent_has_the_state_folder_that_was_asked_for(tmp_path: Path) -> None:
+    folder = tmp_path / "50% of $HOME"
+    folder.mkdir()
+    config, state = folder / "agent.yaml", folder / "what runs"
+    config.write_text("label: eye\nstate: state\n")
+
+    def service(*words: str) -> configparser.SectionProxy:
+        words = ("--unit", f"--config={config}", *words)
+        said = CliRunner().invoke(agent_command, words, catch_exceptions=False)
+        (unit,) = units(said.output)
+        return unit["Service"]
+
+    own, asked = service(), service(f"--state={state}")
+
+    assert words_of(own)[1:] == ["agent", "--config", str(config)]
+    assert words_of(asked)[1:] == ["agent", "--config", str(config), "--state", str(state)]
+    assert paths_of(own["ReadWritePaths"])[2:] == [str(folder / "state")]
+    assert paths_of(asked["ReadWritePaths"])[2:] == [str(state)]
+    assert asked["WorkingDirectory"] == str(folder).replace("%", "%%")
+
+
+def words_of(service: Mapping[str, str]) -> list[str]:
+    return [word.replace("$$", "$") for word in paths_of(service["ExecStart"])]
+
+
+def paths_of(value: str) -> list[str]:
+    return [word.replace("%%", "%") for word in shlex.split(value)]
 
 
 def test_the_deploying_user_is_the_current_one_unless_another_is_given(bundle: Bundle) -> None:

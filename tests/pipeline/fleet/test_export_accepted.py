@@ -11,7 +11,7 @@ from pipeline.fleet import secure
 from pipeline.fleet.export.bundle import Bundle
 from pipeline.fleet.export.compose import compose
 from pipeline.fleet.export.kubernetes import k8s
-from pipeline.fleet.export.systemd import systemd
+from pipeline.fleet.export.systemd import agent_unit, systemd
 from pipeline.fleet.provisioning import issue_for
 from pipeline.graph.loader import load
 from tests.pipeline.fleet.agents import TRIO, plan_of
@@ -42,8 +42,22 @@ def accepted(*words: str | Path) -> None:
 
 @pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="needs systemd-analyze")
 def test_systemd_verifies_every_unit(bundle: Bundle, tmp_path: Path) -> None:
-    text = systemd(load(bundle.graph), bundle)
-    folder, parts = tmp_path / "units", text.split("[Unit]")[1:]
+    verify(systemd(load(bundle.graph), bundle), tmp_path / "units")
+
+
+@pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="needs systemd-analyze")
+def test_systemd_verifies_the_unit_of_an_agent_in_a_folder_of_any_name(tmp_path: Path) -> None:
+    folder = tmp_path / "50% of 'all' $HOME"
+    folder.mkdir()
+
+    unit = agent_unit(folder / "agent.yaml", folder / "what runs", told=True)
+
+    verify(unit, tmp_path / "units")
+
+
+def verify(text: str, folder: Path) -> None:
+    """Assert that systemd has no complaint about any of the units."""
+    parts = text.split("[Unit]")[1:]
     folder.mkdir()
     for number, part in enumerate(parts):
         # the users and folders of other hosts are not here; their lines are not in question
