@@ -4,6 +4,7 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
+from pipeline.errors import GraphError
 from pipeline.fleet.export.bundle import (
     AGENT,
     ALIVE,
@@ -25,12 +26,19 @@ from pipeline.fleet.export.bundle import (
 )
 from pipeline.graph.plan import Plan
 
+DEPLOY = "deploy"  # the service that runs `fovea up`
+
 
 def compose(plan: Plan, bundle: Bundle) -> str:
-    """Return a Compose file: a service per host with its shared memory, and one that deploys."""
+    """Return a Compose file: a service per host with its shared memory, and one that deploys.
+
+    Raises `GraphError` for a host with the name of the latter.
+    """
     graph = f"{bundle.graph}:{GRAPH}:ro"
     if not plan.hosts:
         return to_yaml({"services": {plan.name: _service(plan, bundle, "", run_words(), graph)}})
+    if DEPLOY in plan.hosts:
+        raise GraphError(f"hosts: {DEPLOY}: is the service that deploys; expected another label")
     services = {
         label: {
             **_service(
@@ -45,7 +53,7 @@ def compose(plan: Plan, bundle: Bundle) -> str:
         }
         for label in plan.hosts
     }
-    services["deploy"] = {
+    services[DEPLOY] = {
         **_common(),
         "command": up_words(plan), "restart": "on-failure",
         "volumes": [f"{bundle.own}:{USER}:ro", graph], "depends_on": list(plan.hosts),

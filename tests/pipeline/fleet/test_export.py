@@ -176,6 +176,13 @@ def test_a_host_that_kubernetes_cannot_name_is_refused(tmp_path: Path) -> None:
         k8s(plan, Bundle(tmp_path / "graph.yaml", tmp_path, "alice"))
 
 
+def test_a_host_with_the_name_of_the_service_that_deploys_is_refused(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, TRIO.replace("viewer", "deploy"))
+
+    with pytest.raises(GraphError, match="hosts: deploy: is the service that deploys; expected"):
+        compose(plan, Bundle(tmp_path / "graph.yaml", tmp_path, "alice"))
+
+
 def units(text: str) -> list[configparser.ConfigParser]:
     found = []
     for part in text.split("[Unit]")[1:]:
