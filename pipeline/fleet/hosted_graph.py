@@ -43,6 +43,7 @@ IDLE_S = 0.1
 ANYWAY_S = 0.25
 END_S = 20.0  # stopping takes as long as the slowest operator's `close`
 AGAIN_S = (1.0, 30.0)  # first and longest pause before a restart of a graph that has worked once
+HEALTHY_S = 2 * AGAIN_S[1]  # after a run of this length the first pause applies again
 HANGS_S = 30.0
 STARTS_EPOCHS = 1000  # epochs per start of a host, to distinguish messages of former starts
 log = logging.getLogger(__name__)
@@ -131,7 +132,10 @@ class HostedGraph:
     def _run(self) -> None:
         pause_s = AGAIN_S[0]
         while not self._stop.is_set():
+            began_s = time.monotonic()
             self._run_once()
+            if time.monotonic() - began_s > HEALTHY_S:
+                pause_s = AGAIN_S[0]
             if not self._proven or self._stop.wait(pause_s):
                 return
             pause_s = min(2 * pause_s, AGAIN_S[1])

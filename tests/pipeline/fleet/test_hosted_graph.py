@@ -1,4 +1,4 @@
-"""One host's part of a graph, without processes: what it stores of a change."""
+"""One host's part of a graph, without processes: pauses between runs, what a change stores."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,8 +8,15 @@ from typing import Any
 import pytest
 
 from pipeline.errors import RunError
+from pipeline.fleet import hosted_graph
 from pipeline.fleet.agent_file import GraphStore
-from pipeline.fleet.hosted_graph import identity_of, keep_swap, reply_kept
+from pipeline.fleet.hosted_graph import (
+    HEALTHY_S,
+    HostedGraph,
+    identity_of,
+    keep_swap,
+    reply_kept,
+)
 from pipeline.graph.plan import Node, Plan
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import decode_answer, encode
@@ -33,7 +40,7 @@ def store(tmp_path: Path) -> GraphStore:
     return store
 
 
-def hosted_graph() -> Any:
+def stand_in() -> Any:
     """Return a stand-in for a `HostedGraph` of which nothing runs."""
     manager = SimpleNamespace(ports_of=lambda node: f"ports of {node.operator}")
     supervisor = SimpleNamespace(manager=manager)
@@ -43,7 +50,7 @@ def hosted_graph() -> Any:
 def test_a_swap_is_stored_as_it_came_and_runs_again_with_the_files_of_the_host(
     store: GraphStore,
 ) -> None:
-    hosted = hosted_graph()
+    hosted = stand_in()
     asked = SwapOrder(node="work", operator="m:New", changes={"weights": "sha256:12"})
     local = SwapOrder(node="work", operator="m:New", changes={"weights": "/w/12", "device": "d"})
 
@@ -57,8 +64,43 @@ def test_a_swap_is_stored_as_it_came_and_runs_again_with_the_files_of_the_host(
     assert identity_of(store.asked("g")) == identity_of(START)  # its partners know it by that
 
 
+class Runs:
+    """Runs of a graph that fail after some seconds each, and the pauses between them."""
+
+    def __init__(self, *lengths_s: float) -> None:
+        self.now_s, self.pauses_s = 100.0, list[float]()
+        self._lengths_s = list(lengths_s)
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def run_once(self) -> None:
+        self.now_s += self._lengths_s.pop(0)
+
+    def is_set(self) -> bool:
+        return False
+
+    def wait(self, timeout_s: float) -> bool:
+        self.pauses_s.append(timeout_s)
+        return not self._lengths_s
+
+
+def test_the_pause_before_a_restart_grows_until_a_run_was_healthy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    day_s = 86400.0
+    runs = Runs(1, 1, 1, 1, 1, 1, HEALTHY_S, HEALTHY_S + 1, 1, day_s, day_s)
+    monkeypatch.setattr(hosted_graph, "time", runs)
+    hosted: Any = HostedGraph.__new__(HostedGraph)
+    hosted._stop, hosted._proven, hosted._run_once = runs, True, runs.run_once
+
+    hosted._run()
+
+    assert runs.pauses_s == [1, 2, 4, 8, 16, 30, 30, 1, 2, 1, 1]
+
+
 def test_a_change_that_cannot_be_stored_is_told(tmp_path: Path) -> None:
-    hosted, order = hosted_graph(), SwapOrder(node="work")
+    hosted, order = stand_in(), SwapOrder(node="work")
     nothing, replies = GraphStore(tmp_path / "gone"), list[bytes]()
 
     reply_kept(
