@@ -18,10 +18,13 @@ from pipeline.fleet.placement import ANY, Allowed, is_digest
 from pipeline.fleet.secure import Credentials
 from pipeline.graph.yaml_lines import YamlFile, plain
 from pipeline.naming import check_name
-from pipeline.protocol.codec import decode, encode
+from pipeline.protocol.codec import MOST_BYTES, Kind, decode, encode
 from pipeline.protocol.fleet import Start
 from pipeline.run.rundir import base
 from pipeline.whole_file import write_whole
+
+# it has end points and fingerprints beside a plan that came in a message of at most `MOST_BYTES`
+STORED: Kind[Start] = Kind("a Start", Start, 2 * MOST_BYTES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,14 +166,19 @@ class GraphStore:
         return sorted(path.stem for path in self._folder.glob("*.graph"))
 
     def keep(self, graph: str, asked: Start) -> None:
-        """Store the start request; raises `RunError` when it cannot be written."""
-        self._write(self._folder / f"{graph}.graph", encode(asked))
+        """Store the start request; raises `RunError` when it cannot be written or is too long."""
+        path, data = self._folder / f"{graph}.graph", encode(asked)
+        if len(data) > STORED.most_bytes:
+            raise RunError(
+                f"{path}: expected up to {STORED.most_bytes} bytes to store, got {len(data)}"
+            )
+        self._write(path, data)
 
     def asked(self, graph: str) -> Start:
         """Return the start request; raises `MessageError` for an invalid file."""
         path = self._folder / f"{graph}.graph"
         try:
-            return decode(Start, path.read_bytes())
+            return decode(STORED, path.read_bytes())
         except (OSError, MessageError) as error:
             raise MessageError(f"{path}: not what an agent wrote: {error}") from error
 

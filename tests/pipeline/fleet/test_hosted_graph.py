@@ -19,7 +19,7 @@ from pipeline.fleet.hosted_graph import (
 )
 from pipeline.graph.plan import Node, Plan
 from pipeline.protocol import fleet as wire
-from pipeline.protocol.codec import decode_answer, encode
+from pipeline.protocol.codec import MOST_BYTES, decode_answer, encode
 from pipeline.protocol.orders import SwapOrder, SwapResult
 
 PLAN = Plan(
@@ -62,6 +62,27 @@ def test_a_swap_is_stored_as_it_came_and_runs_again_with_the_files_of_the_host(
     assert node.operator == stored.operator == "m:New"
     assert hosted.ports == {"m:New": "ports of m:New"}
     assert identity_of(store.asked("g")) == identity_of(START)  # its partners know it by that
+
+
+def test_what_is_stored_may_be_longer_than_the_change_that_was_accepted(store: GraphStore) -> None:
+    most = start_of(MOST_BYTES)
+
+    store.keep("g", most)
+
+    assert store.asked("g") == most
+
+
+def test_what_could_not_be_read_again_is_not_stored(store: GraphStore) -> None:
+    with pytest.raises(RunError, match=r"g\.graph: expected up to \d+ bytes to store, got \d+"):
+        store.keep("g", start_of(2 * MOST_BYTES))
+
+    assert store.asked("g") == START
+
+
+def start_of(size: int) -> wire.Start:
+    """Return a start that takes a little more than that many bytes."""
+    node = replace(PLAN.nodes[0], settings={"text": "x" * size})
+    return wire.Start(replace(PLAN, nodes=(node,)), START.versions, {}, {}, {})
 
 
 class Runs:
