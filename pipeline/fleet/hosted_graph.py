@@ -27,7 +27,7 @@ from pipeline.graph.plan import Edge, Plan
 from pipeline.graph.ports import Ports
 from pipeline.node.wiring import CLOCKS
 from pipeline.protocol import fleet as wire
-from pipeline.protocol.codec import decode, encode, refused
+from pipeline.protocol.codec import ControlMessage, decode, encode, refused
 from pipeline.protocol.fleet import Accounts
 from pipeline.protocol.orders import RESULT, PlanOrder, Refused, SwapOrder
 from pipeline.run.managed_process import ManagedProcess
@@ -69,6 +69,7 @@ class HostedGraph:
     supervisor: Supervisor | None = None
     clocks: Clocks = field(default_factory=Clocks)  # of all hosts, while it runs
     peers: dict[str, Peer] = field(default_factory=dict)
+    orders: set[object] = field(default_factory=set)  # given, and what they change not yet stored
     _began_s: float = 0.0
     _proven: bool = False  # it has worked once, so that it is restarted when it fails
     _stop: threading.Event = field(default_factory=threading.Event)
@@ -244,10 +245,20 @@ def _is_ready(supervisor: Supervisor) -> bool:
 
 
 def planned(hosted: HostedGraph, store: GraphStore) -> wire.Planned:
-    """Return the plan that this host runs, and its revision."""
-    if hosted.supervisor is None:
-        raise RunError(f"{hosted.plan.name}: is not running now, try again")
-    return wire.Planned(store.asked(hosted.plan.name).plan, hosted.supervisor.revision)
+    """Return the plan that this host runs, and its revision.
+
+    Raises `RunError` while an order changes it: an edit of the plan of before, with the revision of
+    after, would undo that order.
+    """
+    name, supervisor = hosted.plan.name, hosted.supervisor
+    if supervisor is None:
+        raise RunError(f"{name}: is not running now, try again")
+    revision = supervisor.revision
+    busy = bool(hosted.orders)  # after the revision: an order that ends between them changes it
+    plan = store.asked(name).plan
+    if busy or hosted.orders or supervisor.revision != revision:
+        raise RunError(f"{name}: is being changed, try again")
+    return wire.Planned(plan, revision)
 
 
 def change(
@@ -272,8 +283,8 @@ def change(
         hosted.plan, hosted.ports = local, ports
         store.keep(name, start)
 
-    order = encode(PlanOrder(plan=local, revision=asked.revision))
-    supervisor.control.ask(order, lambda result: reply_kept(result, keep, reply))
+    order = PlanOrder(plan=local, revision=asked.revision)
+    carry_out(hosted, supervisor, order, keep, reply)
 
 
 def keep_swap(
@@ -294,15 +305,30 @@ def keep_swap(
     store.keep(plan.name, msgspec.structs.replace(before, plan=after, identity=identity_of(before)))
 
 
-def reply_kept(result: bytes, keep: Callable[[], None], reply: Callable[[bytes], None]) -> None:
-    """Keep what an order has changed, and reply with its result; on the supervisor's thread."""
-    if not isinstance(decode(RESULT, result), Refused):
+def carry_out(
+    hosted: HostedGraph, supervisor: Supervisor, order: PlanOrder | SwapOrder,
+    keep: Callable[[], None], reply: Callable[[bytes], None],
+) -> None:  # fmt: skip
+    """Carry out an order, `keep` what it has changed on the supervisor's thread, and reply."""
+    pending = object()
+
+    def done(result: bytes) -> None:
         try:
-            keep()
+            if not isinstance(decode(RESULT, result), Refused):
+                keep()
+            said: ControlMessage = wire.Relayed(result)
         except FoveaError as error:
-            reply(encode(refused(f"it was changed, but a restart will lose it: {error}")))
-            return
-    reply(encode(wire.Relayed(result)))
+            said = refused(f"it was changed, but a restart will lose it: {error}")
+        finally:
+            hosted.orders.discard(pending)  # before the reply: the client may go on at once
+        reply(encode(said))
+
+    hosted.orders.add(pending)
+    try:
+        supervisor.control.ask(encode(order), done)
+    except BaseException:
+        hosted.orders.discard(pending)
+        raise
 
 
 def check_inside(before: Plan, wanted: Plan, label: str) -> None:

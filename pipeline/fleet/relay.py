@@ -22,7 +22,7 @@ import msgspec
 
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet.agent_file import GraphStore
-from pipeline.fleet.hosted_graph import HostedGraph, keep_swap, reply_kept
+from pipeline.fleet.hosted_graph import HostedGraph, carry_out, keep_swap
 from pipeline.fleet.placement import Allowed
 from pipeline.naming import check_name
 from pipeline.node.wiring import key_of
@@ -88,11 +88,8 @@ class NodeGateway:
         changes = {**self._cleared_values(order.node, order.changes), **self._own(order.node)}
         local = msgspec.structs.replace(order, changes=changes)
 
-        def done(result: bytes) -> None:
-            keep = partial(keep_swap, hosted, supervisor, order, local, self._store)
-            reply_kept(result, keep, reply)
-
-        supervisor.control.ask(encode(local), done)
+        keep = partial(keep_swap, hosted, supervisor, order, local, self._store)
+        carry_out(hosted, supervisor, local, keep, reply)
 
     def _answer(self, answer: Callable[[], ControlMessage], reply: Reply) -> None:
         try:

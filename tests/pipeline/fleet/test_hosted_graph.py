@@ -1,6 +1,8 @@
 """One host's part of a graph, without processes: pauses between runs, what a change stores."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,14 +15,16 @@ from pipeline.fleet.agent_file import GraphStore
 from pipeline.fleet.hosted_graph import (
     HEALTHY_S,
     HostedGraph,
+    carry_out,
+    change,
     identity_of,
     keep_swap,
-    reply_kept,
+    planned,
 )
 from pipeline.graph.plan import Node, Plan
 from pipeline.protocol import fleet as wire
-from pipeline.protocol.codec import MOST_BYTES, decode_answer, encode
-from pipeline.protocol.orders import SwapOrder, SwapResult
+from pipeline.protocol.codec import MOST_BYTES, decode_answer, encode, refused
+from pipeline.protocol.orders import SwapOrder, SwapResult, TopologyResult
 
 PLAN = Plan(
     name="g",
@@ -31,6 +35,8 @@ PLAN = Plan(
 )
 START = wire.Start(PLAN, wire.Versions.ours(), {}, {}, {})
 SWAPPED = encode(SwapResult(node="work", hot=True, gap_ms=0, state="", proven_frames=1))
+
+ADDED = encode(TopologyResult(added=["second"], removed=[], connected=[], cut=[]))
 
 
 @pytest.fixture
@@ -43,8 +49,19 @@ def store(tmp_path: Path) -> GraphStore:
 def stand_in() -> Any:
     """Return a stand-in for a `HostedGraph` of which nothing runs."""
     manager = SimpleNamespace(ports_of=lambda node: f"ports of {node.operator}")
-    supervisor = SimpleNamespace(manager=manager)
-    return SimpleNamespace(plan=replace(PLAN, here="here"), ports={}, supervisor=supervisor)
+    supervisor = SimpleNamespace(manager=manager, control=Orders(), revision=0)
+    plan = replace(PLAN, here="here")
+    return SimpleNamespace(plan=plan, ports={}, supervisor=supervisor, orders=set())
+
+
+class Orders:
+    """A stand-in for a `ControlServer`, which the test answers."""
+
+    def __init__(self) -> None:
+        self.replies: list[Callable[[bytes], None]] = []
+
+    def ask(self, order: bytes, reply: Callable[[bytes], None]) -> None:
+        self.replies.append(reply)
 
 
 def test_a_swap_is_stored_as_it_came_and_runs_again_with_the_files_of_the_host(
@@ -124,10 +141,38 @@ def test_a_change_that_cannot_be_stored_is_told(tmp_path: Path) -> None:
     hosted, order = stand_in(), SwapOrder(node="work")
     nothing, replies = GraphStore(tmp_path / "gone"), list[bytes]()
 
-    reply_kept(
-        SWAPPED, lambda: keep_swap(hosted, hosted.supervisor, order, order, nothing), replies.append
-    )
+    keep = partial(keep_swap, hosted, hosted.supervisor, order, order, nothing)
+    carry_out(hosted, hosted.supervisor, order, keep, replies.append)
+    hosted.supervisor.control.replies[0](SWAPPED)
 
     (said,) = replies
     with pytest.raises(RunError, match="it was changed, but a restart will lose it: "):
         decode_answer(wire.Relayed, said)
+
+
+@pytest.mark.parametrize("result", [ADDED, encode(refused("no"))])
+def test_a_plan_is_not_told_while_it_changes(store: GraphStore, result: bytes) -> None:
+    hosted, replies = stand_in(), list[bytes]()
+    more = replace(PLAN, nodes=(*PLAN.nodes, replace(PLAN.nodes[0], index=1, name="second")))
+    asked = wire.PlanChange("g", more, wire.Versions.ours(), {}, 0)
+    change(hosted, asked, store, lambda plan, _: (replace(plan, here="here"), {}), replies.append)
+
+    for hosted.supervisor.revision in (0, 2):  # until the new plan is stored
+        with pytest.raises(RunError, match="g: is being changed, try again"):
+            planned(hosted, store)
+    hosted.supervisor.control.replies[0](result)
+
+    assert decode_answer(wire.Relayed, replies[0]).payload == result
+    assert planned(hosted, store) == wire.Planned(more if result == ADDED else PLAN, 2)
+
+
+def test_a_plan_is_not_told_when_it_has_changed_while_it_was_read(store: GraphStore) -> None:
+    hosted = stand_in()
+
+    class Slow(GraphStore):
+        def asked(self, graph: str) -> wire.Start:
+            hosted.supervisor.revision += 1
+            return store.asked(graph)
+
+    with pytest.raises(RunError, match="g: is being changed, try again"):
+        planned(hosted, Slow(Path()))
