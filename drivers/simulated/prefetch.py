@@ -10,6 +10,7 @@ import queue
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import cv2
@@ -61,8 +62,7 @@ class Prefetch:
         self._thread.join()
 
     def _work(self) -> None:
-        # a real sensor needs no CPU: give the graph priority where cores are scarce
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), WORLD_NICENESS)
+        _yield_to_the_graph()
         while (task := self._asked.get()) is not None:
             try:
                 self._done.put(self._make(*task))
@@ -81,6 +81,17 @@ class Prefetch:
         return Ready(
             seq=seq, pixels=pixels, truth=truth, ready_ns=now_ns, cost_ns=now_ns - began_ns
         )
+
+
+def _yield_to_the_graph() -> None:
+    """Give the graph priority where cores are scarce: a real sensor needs no CPU.
+
+    A niceness that is greater already stays: a user may not lower it.
+    """
+    me = threading.get_native_id()
+    with suppress(OSError):  # the pictures come without it, too
+        own = os.getpriority(os.PRIO_PROCESS, me)
+        os.setpriority(os.PRIO_PROCESS, me, max(WORLD_NICENESS, own))
 
 
 class _Mean:

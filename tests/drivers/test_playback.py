@@ -1,13 +1,18 @@
 """Playback: every picture at its time; late pictures do not shift the timetable."""
 
+import os
 import threading
 import time
 
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from drivers.simulated.pace import Pace
 from drivers.simulated.playback import Playback, Timing
+from drivers.simulated.prefetch import WORLD_NICENESS
 from tests.drivers.moving_square import MovingSquare
 from tests.sample_graphs import until
 
@@ -86,6 +91,28 @@ def test_pictures_are_made_by_one_thread_of_their_own() -> None:
 
     assert len(source.threads) == 1
     assert threading.get_ident() not in source.threads
+
+
+@pytest.mark.parametrize("niceness", [0, 10])
+def test_pictures_are_made_behind_the_graph_and_niceness_is_never_lowered(niceness: int) -> None:
+    found: list[int] = []
+    inherited = max(niceness, os.getpriority(os.PRIO_PROCESS, 0))
+
+    class Watched(MovingSquare):
+        def picture(self, index: int) -> NDArray[np.uint8]:
+            found.append(os.getpriority(os.PRIO_PROCESS, threading.get_native_id()))
+            return super().picture(index)
+
+    def play_one() -> None:
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), inherited)
+        play(Watched(length=1), Timing(rate_hz=100))
+
+    player = threading.Thread(target=play_one, daemon=True)
+    player.start()
+    player.join(10)
+
+    assert not player.is_alive()
+    assert found == [max(inherited, WORLD_NICENESS)]
 
 
 def test_a_slower_sensor_sees_every_second_frame_and_a_faster_one_sees_each_twice() -> None:
