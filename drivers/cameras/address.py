@@ -4,11 +4,13 @@ What may be shown has no user, no password and no values of a query, since some 
 password there.
 """
 
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import SplitResult, quote, unquote, urlsplit
 
+from drivers.regular_file import contents, opened
 from pipeline.errors import DriverError, SettingsError
 from pipeline.text import harmless
 
@@ -80,18 +82,20 @@ def read_credentials(path: str) -> tuple[str, str]:
     Raises `DriverError` that names the file and never what is in it.
     """
     try:
-        file = Path(path).expanduser()
-        mode = file.stat().st_mode
-        text = file.read_bytes()[: MOST_BYTES + 1].decode()
-    except OSError as error:
-        raise DriverError(f"{path}: cannot be read: {(error.strerror or '').lower()}") from error
+        place = Path(path).expanduser()
+    except RuntimeError as error:  # the home of a user that does not exist
+        raise DriverError(f"{path}: cannot be read: {error}") from error
+    with opened(place, MOST_BYTES) as file:
+        if os.fstat(file.fileno()).st_mode & 0o077:
+            raise DriverError(f"{path}: others can read the password in it; chmod 600 {path}")
+        data = contents(place, file, MOST_BYTES)
+    try:
+        text = data.decode()
     except UnicodeDecodeError as error:
         raise DriverError(f"{path}: expected user:password, got no text") from error
-    if mode & 0o077:
-        raise DriverError(f"{path}: others can read the password in it; chmod 600 {path}")
     lines = text.strip().splitlines()
     user, colon, password = lines[0].partition(":") if len(lines) == 1 else ("", "", "")
-    if len(text) > MOST_BYTES or not (user and colon):
+    if not (user and colon):
         raise DriverError(f"{path}: expected one line, user:password, got something else")
     return user, password
 

@@ -14,10 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.datasets.pictures import read_picture
+from drivers.datasets.pictures import check_size, read_picture
+from drivers.regular_file import read_text
 from drivers.source import Annotations
 from pipeline.errors import DriverError, SettingsError
 
+MOST_INI_BYTES, MOST_ROWS_BYTES = 1 << 20, 1 << 28  # of a file
 _SPAN = re.compile(r"([0-9]+)(?:-([0-9]+))?")
 
 
@@ -91,9 +93,7 @@ def read_ini(path: Path) -> configparser.SectionProxy:
     )
     parser.optionxform = str  # type: ignore[assignment,method-assign]
     try:
-        parser.read_string(path.read_text("utf-8-sig"), str(path))
-    except OSError as error:
-        raise DriverError(f"{path}: cannot be read: {error.strerror}") from error
+        parser.read_string(read_text(path, MOST_INI_BYTES, "utf-8-sig"), str(path))
     except (configparser.Error, UnicodeDecodeError) as error:
         raise DriverError(f"{path}: not an ini file: {' '.join(str(error).split())}") from error
     if "Sequence" not in parser:
@@ -111,6 +111,7 @@ def read_info(folder: Path) -> SequenceInfo:
         raise DriverError(f"{folder}: {what}, got {got}")
     section = read_ini(path)
     width, height, length = (_whole(path, section, k) for k in ("imWidth", "imHeight", "seqLength"))
+    check_size(path, (width, height))
     return SequenceInfo(
         name=section.get("name", folder.name),
         folder=folder / section.get("imDir", "img1"),
@@ -127,9 +128,7 @@ def read_rows(path: Path, *, columns: int) -> Iterator[Row]:
     Raises `DriverError` naming file and line.
     """
     try:
-        text = path.read_text("ascii")
-    except OSError as error:
-        raise DriverError(f"{path}: cannot be read: {error.strerror}") from error
+        text = read_text(path, MOST_ROWS_BYTES, "ascii")
     except UnicodeDecodeError as error:
         raise DriverError(f"{path}: expected rows of numbers, got binary data") from error
     for number, line in enumerate(text.split("\n"), 1):

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.datasets.sequence import (
+    MOST_INI_BYTES,
     NumberedPictures,
     Row,
     by_frame,
@@ -19,6 +20,7 @@ from drivers.datasets.sequence import (
     read_ini,
     read_rows,
 )
+from drivers.regular_file import read_text
 from drivers.source import Annotations
 from pipeline.errors import DriverError, SettingsError
 
@@ -118,5 +120,5 @@ def _read_truth(path: Path, tracklets: dict[int, Tracklet]) -> dict[int, Annotat
 
 
 def _line_of(path: Path, key: str) -> int:
-    lines = path.read_text("utf-8-sig").split("\n")
+    lines = read_text(path, MOST_INI_BYTES, "utf-8-sig").split("\n")
     return next(n for n, line in enumerate(lines, 1) if line.partition("=")[0].strip() == key)

@@ -1,11 +1,13 @@
 """A video file: its path in, RGB pictures out."""
 
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.regular_file import library_name, opened
 from drivers.source import Annotations
 from pipeline.errors import DriverError
 
@@ -23,7 +25,9 @@ class VideoFile:
         if not self._path.is_file():
             got = "a folder" if self._path.is_dir() else "no such file"
             raise DriverError(f"{path}: expected a video file, got {got}")
-        self._capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+        with opened(self._path, sys.maxsize) as file:
+            name = library_name(self._path, file)
+            self._capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
             raise DriverError(f"{path}: expected a video, got something that cannot be decoded")
         self.rate_hz = float(self._capture.get(cv2.CAP_PROP_FPS))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from drivers import regular_file
 from pipeline.errors import DriverError
 
 MOST_BYTES = 1 << 30  # of a file
@@ -16,11 +17,7 @@ Key = str | int
 def read_text(path: Path) -> str:
     """Return a file's text, in UTF-8 with or without mark; raises `DriverError`."""
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise DriverError(f"{path}: expected at most {MOST_BYTES} bytes")
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise DriverError(f"{path}: cannot be read: {error.strerror}") from error
+        return regular_file.read_text(path, MOST_BYTES, "utf-8-sig")
     except UnicodeError as error:
         raise DriverError(f"{path}: expected UTF-8: {error}") from error
 

@@ -1,5 +1,6 @@
 """Video files: the same pictures in any order of access."""
 
+import os
 from pathlib import Path
 
 import cv2
@@ -55,6 +56,16 @@ def test_colours_are_red_green_blue(film: Path) -> None:
 
     red, green, blue = video.picture(60).reshape(-1, 3).mean(axis=0)
     assert min(red, green) > blue + 100
+    video.close()
+
+
+def test_a_name_that_is_no_utf_8_is_read(film: Path) -> None:
+    name = Path(os.fsdecode(os.fsencode(film.parent) + b"/\xff.mp4"))
+    name.symlink_to(film)
+
+    video = VideoFile(path=str(name))
+
+    assert number_of(video.picture(40)) == 40
     video.close()
 
 
