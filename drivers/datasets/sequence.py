@@ -114,8 +114,8 @@ def read_info(folder: Path) -> SequenceInfo:
     check_size(path, (width, height))
     return SequenceInfo(
         name=section.get("name", folder.name),
-        folder=folder / section.get("imDir", "img1"),
-        suffix=section.get("imExt", ".jpg"),
+        folder=folder / _inside(path, section.get("imDir", "img1")),
+        suffix=_suffix(path, section.get("imExt", ".jpg")),
         size_px=(width, height),
         rate_hz=_positive(path, section, "frameRate"),
         length=length,
@@ -192,6 +192,20 @@ def _whole(path: Path, section: configparser.SectionProxy, key: str) -> int:
     if not value.is_integer():
         raise DriverError(f"{path}: {key}: expected a whole number, got {section[key]!r}")
     return int(value)
+
+
+def _inside(path: Path, name: str) -> Path:
+    """Return a folder below that of the sequence: a recording names no other files."""
+    found = Path(name)
+    if found.is_absolute() or ".." in found.parts or "\0" in name:
+        raise DriverError(f"{path}: imDir: expected a folder beside this file, got {name!r}")
+    return found
+
+
+def _suffix(path: Path, text: str) -> str:
+    if not re.fullmatch(r"\.\w{1,8}", text):
+        raise DriverError(f"{path}: imExt: expected an ending such as .jpg, got {text!r}")
+    return text
 
 
 def _positive(path: Path, section: configparser.SectionProxy, key: str) -> float:

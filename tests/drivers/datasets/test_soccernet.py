@@ -169,6 +169,9 @@ def test_rows_of_boxes_come_back_as_they_were_written(
     ] == rows
 
 
+SIZES = "[Sequence]\nimWidth=64\nimHeight=48\nseqLength=3\nframeRate=25\n"
+
+
 @pytest.mark.parametrize(
     ("info", "named"),
     [
@@ -183,6 +186,15 @@ def test_rows_of_boxes_come_back_as_they_were_written(
             "[Sequence]\nimWidth=64\nimHeight=48\nseqLength=3\nframeRate=-1\n",
             "frameRate: expected a number above 0, got '-1'",
         ),
+        (
+            "[Sequence]\nimWidth=999999\nimHeight=999999\nseqLength=3\nframeRate=25\n",
+            "expected a picture with sides of at most 32768 .*, got 999999x999999",
+        ),
+        (f"{SIZES}imDir=../other\n", r"imDir: expected a folder .*, got '\.\./other'"),
+        (f"{SIZES}imDir=/etc\n", "imDir: expected a folder .*, got '/etc'"),
+        (f"{SIZES}imDir=a\0b\n", "imDir: expected a folder"),
+        (f"{SIZES}imExt=/../../a.jpg\n", "imExt: expected an ending such as .jpg"),
+        (f"{SIZES}imExt=.j\0pg\n", "imExt: expected an ending such as .jpg"),
     ],
 )
 def test_a_bad_seqinfo_is_refused_in_one_sentence(tmp_path: Path, info: str, named: str) -> None:
