@@ -110,7 +110,7 @@ class OpenCvConnection(Connection):
             return None
         found = np.asarray(pixels)
         if self._jpeg:
-            return decoded(np.asarray(found, np.uint8).reshape(-1))
+            return self._of_size(decoded(np.asarray(found, np.uint8).reshape(-1)))
         if self._raw is not None:
             return self._mosaic(found, self._raw)
         return found[..., 0] if found.ndim == 3 and found.shape[2] == 1 else found
@@ -135,10 +135,21 @@ class OpenCvConnection(Connection):
         """Release device or connection."""
         self._capture.release()
 
+    def _size(self) -> tuple[int, int]:
+        """Width and height that the device tells; 0 where it does not."""
+        get = self._capture.get
+        return int(get(cv2.CAP_PROP_FRAME_WIDTH)), int(get(cv2.CAP_PROP_FRAME_HEIGHT))
+
+    def _of_size(self, found: NDArray[np.uint8] | None) -> NDArray[np.uint8] | None:
+        """The picture of a JPEG; None for damage that has changed its size."""
+        expected = self._size()
+        if found is None or (all(expected) and found.shape[1::-1] != expected):
+            return None
+        return found
+
     def _mosaic(self, found: NDArray[Any], form: PixelFormat) -> NDArray[Any]:
         """The bytes of a frame as (h, w) samples; raises `DriverError` for rows with padding."""
-        get = self._capture.get
-        width, height = int(get(cv2.CAP_PROP_FRAME_WIDTH)), int(get(cv2.CAP_PROP_FRAME_HEIGHT))
+        width, height = self._size()
         expected = form.row_bytes(width) * height
         if found.nbytes != expected:
             raise DriverError(
@@ -164,7 +175,10 @@ def decoded(jpeg: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
     data = jpeg.tobytes()
     if not data.startswith(START_OF_IMAGE) or END_OF_IMAGE not in data:
         return None
-    found = cv2.imdecode(jpeg, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    try:
+        found = cv2.imdecode(jpeg, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:  # damage can make it larger than OpenCV allows
+        return None
     return None if found is None or not found.size else np.asarray(found, np.uint8)
 
 

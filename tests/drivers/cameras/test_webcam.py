@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from numpy.typing import NDArray
 
 from drivers.cameras import CameraSensor, CameraSensorSettings, Webcam, WebcamSettings, v4l2
-from drivers.cameras.opencv import decoded, fourcc_of
+from drivers.cameras.opencv import OpenCvConnection, decoded, fourcc_of
 from pipeline.cli import commands
 from pipeline.errors import DriverError, SettingsError
 from tests.drivers.contract import check_sensor
@@ -170,6 +171,42 @@ def test_a_damaged_jpeg_is_no_frame(damage: str) -> None:
     intact = decoded(padded)
     assert intact is not None
     assert intact.shape == (48, 64, 3)
+
+
+class SendingJpegs:
+    """A VideoCapture of a webcam of 64x48 that sends the bytes of one JPEG."""
+
+    def __init__(self, jpeg: bytes) -> None:
+        self._jpeg = np.frombuffer(jpeg, np.uint8)
+        self._told = {
+            cv2.CAP_PROP_BACKEND: cv2.CAP_V4L2,
+            cv2.CAP_PROP_FOURCC: cv2.VideoWriter.fourcc(*"MJPG"),
+            cv2.CAP_PROP_FRAME_WIDTH: 64,
+            cv2.CAP_PROP_FRAME_HEIGHT: 48,
+        }
+
+    def get(self, name: int) -> float:
+        return float(self._told.get(name, 0))
+
+    def set(self, name: int, value: float) -> bool:
+        return True
+
+    def retrieve(self, into: object) -> tuple[bool, NDArray[np.uint8]]:
+        return True, self._jpeg
+
+
+@pytest.mark.parametrize(
+    ("stated_px", "whole"), [((64, 48), True), ((64 + 32768, 48), False), ((65500, 65500), False)]
+)
+def test_a_jpeg_of_another_size_is_a_damaged_frame(stated_px: tuple[int, int], whole: bool) -> None:
+    jpeg = bytearray(cv2.imencode(".jpg", np.full((48, 64, 3), 99, np.uint8))[1])
+    at = jpeg.index(b"\xff\xc0") + 5  # SOF0, ITU-T T.81, B.2.2
+    jpeg[at : at + 4] = struct.pack(">HH", *reversed(stated_px))
+    capture: Any = SendingJpegs(bytes(jpeg))
+    connection = OpenCvConnection(capture, name="webcam", read_timeout_s=1)
+    connection.ask(size_px=(64, 48), rate_hz=30, fourcc="MJPG")
+
+    assert (connection.decode(None) is not None) == whole
 
 
 @pytest.fixture
