@@ -12,7 +12,9 @@ from drivers.genicam.nodes import Node, NodeMap, whole
 
 REGISTERS = ("IntReg", "MaskedIntReg", "FloatReg", "StructEntry")
 FORMULAS = ("SwissKnife", "IntSwissKnife")
-DEEPEST = 32  # nodes that take their value from one another; further ones are not known
+DEEPEST = (
+    32  # nodes and expressions that take their value from one another; further ones are not known
+)
 
 
 def unknown(_register: str) -> None:
@@ -108,20 +110,22 @@ class NodeValues:
         places = {name: text for tag, name, text in node.fields if tag == "pVariable"}
         parts = {name: text for tag, name, text in node.fields if tag == "Expression"}
         stated = {name: text for tag, name, text in node.fields if tag == "Constant"}
-        level = depth
+        level, known = depth, dict[str, Number | None]()
 
         def named(name: str) -> Number | None:
             nonlocal level
             if name in stated:
                 return _number(stated[name])
-            if name in parts and level <= depth + len(parts):
-                level += 1
-                found = compute(parts[name], named)
-                level -= 1
-                return found
-            if name not in places:
-                return None
-            return self.value(places[name].removesuffix(".Value"), depth + 1)
+            if name in known:
+                return known[name]  # computed once, however often the text has it
+            known[name] = None  # where it takes its value from itself, it is not known
+            level += 1
+            if name in parts and level <= DEEPEST:
+                known[name] = compute(parts[name], named)
+            elif name in places:
+                known[name] = self.value(places[name].removesuffix(".Value"), level)
+            level -= 1
+            return known[name]
 
         return compute(node.text("Formula"), named)
 

@@ -10,6 +10,7 @@ from bench.fuzz.descriptions import mutated
 from drivers.genicam.formats import entry_of, offered
 from drivers.genicam.foveation import foveation
 from drivers.genicam.nodes import parse_nodes
+from drivers.genicam.values import NodeValues
 from drivers.genicam.vetting import vetted_nodes
 from pipeline.errors import DriverError
 from tests.drivers.genicam import description as xml
@@ -100,6 +101,34 @@ def test_a_long_chain_is_refused_and_a_wide_one_takes_no_time() -> None:
     began = time.process_time()
     vetted_nodes(xml.whole(wide))
     assert time.process_time() - began < 2
+
+
+def expressions(count: int, text: str) -> bytes:
+    """A width whose expressions E0, E1, … each mention the next one by `text`."""
+    told = "".join(
+        f'<Expression Name="E{k}">{text.format(next=f"E{k + 1}")}</Expression>'
+        for k in range(count)
+    )
+    last = f'<Expression Name="E{count}">1</Expression><Formula>E0</Formula>'
+    return xml.whole([f'<IntSwissKnife Name="Width">{told}{last}</IntSwissKnife>'])
+
+
+@pytest.mark.parametrize(
+    ("count", "text", "expected"),
+    [
+        (20, "{next}+{next}", 2**20),
+        (40, "{next}", None),  # deeper than what is followed
+        (600, "{next}", None),
+        (3, "{next}+E0", None),  # a ring
+    ],
+)
+def test_an_expression_is_computed_once_however_often_it_is_mentioned(
+    count: int, text: str, expected: int | None
+) -> None:
+    began = time.process_time()
+
+    assert NodeValues(vetted_nodes(expressions(count, text))).value("Width") == expected
+    assert time.process_time() - began < 1
 
 
 @pytest.mark.parametrize("length", ["-1", "0", "", "99999999999", "1e3", "four"])
