@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from pipeline.errors import DriverError, FoveaError
+from pipeline.text import error_text, harmless
 
 FIRST_WAIT_S = 0.1
 LONGEST_WAIT_S = 2.0
@@ -98,6 +99,9 @@ class Connection(Generic[T]):
                 held = self._make()
             except FoveaError as error:
                 why = str(error)
+            except Exception as error:  # raised again where it can be handled, in `held`
+                self._fail(f"{self._name}: opening it again broke: {harmless(error_text(error))}")
+                return
             else:
                 log.info("%s: back after %.1f s", self._name, time.monotonic() - began_s)
                 self._set(held)
