@@ -60,6 +60,19 @@ def build(cls: type[T], values: Mapping[str, Any], where: str, *, kind: str = "s
     return built
 
 
+def fit(kind: Any, value: Any, where: str) -> Any:
+    """Return a plain value as a type has it; raises `SettingsError` beginning with `where`.
+
+    >>> fit(tuple[int, int], [640, 480], "size_px")
+    (640, 480)
+    """
+    check_plain(value, where)
+    try:
+        return TypeAdapter(kind).validate_json(json.dumps(_whole(value)), strict=True)
+    except ValidationError as error:
+        raise _wrong(error, where) from error
+
+
 def check_plain(value: Any, where: str, path: tuple[str, ...] = ()) -> None:
     """Raise `SettingsError` unless JSON and messages can represent a value.
 

@@ -2,11 +2,12 @@
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, get_type_hints
 
 from drivers.source import FrameSource
 from pipeline.errors import SettingsError
 from pipeline.import_path import imported
+from pipeline.settings import fit
 
 SCENES = {
     "soccer": "drivers.scenes:SoccerScene",
@@ -103,4 +104,16 @@ def check_arguments(setting: str, path: str, names: Mapping[str, Any]) -> None:
 
 def _build(setting: str, path: str, values: dict[str, Any]) -> FrameSource:
     check_arguments(setting, path, values)
-    return load_source(setting, path)(**values)
+    source = load_source(setting, path)
+    kinds = _kinds(source)
+    fitting = {n: fit(kinds[n], v, n) if n in kinds else v for n, v in values.items()}
+    return source(**fitting)
+
+
+def _kinds(source: Callable[..., FrameSource]) -> dict[str, Any]:
+    """Return the types that a source declares for what it takes; empty where they cannot be had."""
+    maker = source.__init__ if inspect.isclass(source) else source
+    try:
+        return get_type_hints(maker)
+    except Exception:  # a name that only type checkers know
+        return {}

@@ -2,6 +2,7 @@
 
 import ctypes
 import errno
+import math
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -67,6 +68,10 @@ class VirtualBoardSettings:
             raise SettingsError(
                 f"noise: expected 0 beside full_well_e, which brings its own, got {self.noise}"
             )
+        for name in ("frames", "noise", "seed"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise SettingsError(f"{name}: must be at least 0, got {value}")
         self.response(16)
         faults_of(self.faults)
         self.scaled()

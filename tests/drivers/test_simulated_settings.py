@@ -6,6 +6,8 @@ import pytest
 
 from drivers.sensor import Mode
 from drivers.simulated import SimulatedSensorSettings
+from drivers.simulated.sources import open_recording, open_scene
+from drivers.virtual_board.backend import VirtualBoardSettings
 from pipeline.errors import SettingsError
 from pipeline.settings import build
 from tests.drivers.contract import read
@@ -88,3 +90,36 @@ def test_wrong_settings_are_refused_in_one_sentence(settings: dict[str, Any], na
 def test_a_wrong_type_from_yaml_is_refused_with_its_place() -> None:
     with pytest.raises(SettingsError, match=r"options\.size_px"):
         build(SimulatedSensorSettings, {"scene": "soccer", "size_px": "big"}, "options")
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "named"),
+    [
+        ("panorama", {"objects": "x"}, "objects: input should be a valid integer, got 'x'"),
+        ("panorama", {"person_share": None}, "person_share: input should be a valid number"),
+        ("soccer", {"difficulty": float("nan")}, "difficulty: expected a finite number, got nan"),
+        (f"{HERE}:MovingSquare", {"size_px": [320]}, "size_px"),
+    ],
+)
+def test_options_of_a_wrong_type_are_refused_in_one_sentence(
+    scene: str, options: dict[str, Any], named: str
+) -> None:
+    with pytest.raises(SettingsError, match=named):
+        open_scene(scene, size_px=(0, 0), rate_hz=0, seed=0, length=None, options=options)
+
+
+def test_an_option_that_yaml_has_as_a_list_comes_as_its_type() -> None:
+    options = {"size_px": [320, 192], "rate_hz": 50}
+
+    source = open_recording(f"{HERE}:MovingSquare", path="", options=options)
+
+    assert (source.size_px, source.rate_hz) == ((320, 192), 50)
+    source.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("noise", float("nan")), ("noise", -1.0), ("frames", -1), ("seed", -1)]
+)
+def test_a_virtual_board_refuses_what_no_sensor_has(name: str, value: float) -> None:
+    with pytest.raises(SettingsError, match=f"{name}: must be at least 0, got"):
+        VirtualBoardSettings(scene="soccer", **{name: value})  # type: ignore[arg-type]
