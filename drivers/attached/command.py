@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from drivers.attached.child import FAILED, FAMILY, Child
-from drivers.attached.report import figures_line, listing, shown_address
+from drivers.attached.report import figures_line, listing, shown_address, without_credentials
 from drivers.attached.rules import rules
 from drivers.attached.search import LIMIT_S, search
 from drivers.attached.subject import FORMS
@@ -71,7 +71,7 @@ def test_command(
     subject: dict[str, Any] = {}
     for told in trial(name, changes, seconds=seconds, limit_s=timeout_s + seconds):
         if "sensor" in told:
-            subject = json.loads(shown_address(json.dumps(told)))
+            subject = without_credentials(told)
         elif "check" in told:
             results.append(told)
         if not as_json:

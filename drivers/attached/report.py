@@ -6,7 +6,8 @@ from typing import Any
 
 from drivers.attached.listing import AttachedSensor, KindFound, Offer
 
-CREDENTIALS = re.compile(r"://[^/\s\"]*@")
+ADDRESS = re.compile(r"\b([a-z][a-z0-9+.-]*://)(\S+)", re.IGNORECASE)
+QUERY = re.compile(r"\?.*?([:;,.]?)$")  # and the mark behind it that belongs to the sentence
 MOST_OFFERS = 12  # lines of one sensor; `--json` has all of them
 NOTHING = "no sensor is attached; `fovea sensors test virtual` tries the checks without one"
 
@@ -58,12 +59,25 @@ def figures_line(figures: Mapping[str, Any]) -> str:
 
 
 def shown_address(text: str) -> str:
-    """Return a text with the credentials of URLs left out.
+    """Return a text with user, password and query of URLs left out.
 
-    >>> shown_address("rtsp://me:secret@camera.local/one: no answer")
-    'rtsp://camera.local/one: no answer'
+    >>> shown_address("rtsp://me:secret@camera.local/one?pwd=secret: no answer")
+    'rtsp://camera.local/one?…: no answer'
     """
-    return CREDENTIALS.sub("://", text)
+    return ADDRESS.sub(lambda url: url[1] + QUERY.sub(r"?…\1", url[2].rpartition("@")[2]), text)
+
+
+def without_credentials(value: Any, name: str = "") -> Any:
+    """Return plain values, the setting of this name, with URLs and pipelines as they are shown."""
+    if isinstance(value, Mapping):
+        return {key: without_credentials(item, key) for key, item in value.items()}
+    if isinstance(value, list):
+        return [without_credentials(item) for item in value]
+    if isinstance(value, str) and name == "pipeline":
+        from drivers.cameras.address import pipeline_shown  # its package brings OpenCV
+
+        return pipeline_shown(value)
+    return shown_address(value) if isinstance(value, str) else value
 
 
 def _value(name: str, value: Any) -> str:

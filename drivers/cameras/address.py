@@ -18,6 +18,8 @@ PORTS = {"rtsp": 554, "rtsps": 322, "http": 80, "https": 443, "tcp": 0, "udp": 0
 LISTENING = ("udp",)  # nobody to connect to: packets arrive or not
 MOST_CHARS = 120  # of an address in a message
 MOST_BYTES = 4096  # of a file with a user and a password
+_QUOTED = re.compile(r"""(["'])(?:\\.|(?!\1)[^\\])*(?:\1|\\?$)""", re.DOTALL)  # or not closed
+_LINK = re.compile(r"(?:^|(?<=\s))!(?=\s|$)")  # `!` within a word belongs to a value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +108,8 @@ def pipeline_shown(pipeline: str) -> str:
     >>> pipeline_shown("rtspsrc location=rtsp://a:b@c user-pw=x ! decodebin ! appsink")
     'GStreamer pipeline rtspsrc ! decodebin ! appsink'
     """
-    elements = [words[0] for part in pipeline.split("!") if (words := part.split())]
+    bare = _QUOTED.sub("…", pipeline)  # a value may hold what separates elements
+    elements = [words[0] for part in _LINK.split(bare) if (words := part.split())]
     named = [name if re.fullmatch(r"[\w-]+", name) else "…" for name in elements]
     return harmless(f"GStreamer pipeline {' ! '.join(named)}", MOST_CHARS)
 

@@ -8,6 +8,7 @@ import pytest
 
 from drivers.attached.measurement import Run, accounts, effect, rate, run_in_real_time
 from drivers.attached.recording import RECORDING, check_previews_show_the_whole_field
+from drivers.attached.report import without_credentials
 from drivers.attached.subject import subject_of
 from drivers.attached.trial import MEASURED, OPENS, REAL_TIME, TITLES
 from drivers.contract import SKIPPED, ContractBroken, title
@@ -180,8 +181,9 @@ def test_a_plain_camera_is_tested_as_a_sensor_in_software(
 
 
 @pytest.mark.parametrize("as_json", [True, False])
-def test_credentials_of_an_address_are_not_shown(as_json: bool) -> None:
-    address = "rtsp://me:secret@127.0.0.1:1/one"
+@pytest.mark.parametrize("secret", ['me:se"secret@127.0.0.1:1/one', "127.0.0.1:1/one?pwd=secret"])
+def test_credentials_of_an_address_are_not_shown(as_json: bool, secret: str) -> None:
+    address = f"rtsp://{secret}"
     limits = ("--set", "camera_options.open_timeout_s=0.2", "--timeout-s", "30")
 
     done = command("sensors", "test", address, *limits, *(["--json"] if as_json else []))
@@ -189,6 +191,15 @@ def test_credentials_of_an_address_are_not_shown(as_json: bool) -> None:
     assert done.returncode == 1
     assert "rtsp://127.0.0.1:1/one" in done.stdout
     assert "secret" not in done.stdout + done.stderr
+
+
+def test_credentials_of_a_pipeline_are_not_shown_either() -> None:
+    options = {"pipeline": "rtspsrc user-pw=secret ! appsink", "also": ["http://me:secret@cam/"]}
+
+    assert without_credentials({"camera_options": options})["camera_options"] == {
+        "pipeline": "GStreamer pipeline rtspsrc ! appsink",
+        "also": ["http://cam/"],
+    }
 
 
 def test_names_of_nothing_are_refused() -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.cameras import NetworkStream, NetworkStreamSettings
 from drivers.cameras.address import address, pipeline_shown, read_credentials, with_user
+from drivers.cameras.diagnosis import why_not
 from pipeline.errors import DriverError, SettingsError
 
 SECRET = "Xq7-secret"
@@ -78,6 +79,36 @@ def test_settings_and_summary_do_not_show_what_is_in_a_url_or_a_pipeline() -> No
     ):
         stream = NetworkStream(given_settings)
         assert SECRET not in repr(given_settings) + stream.source + str(stream.summary())
+
+
+@pytest.mark.parametrize("host", ["cam..local", "a" * 70])
+def test_a_name_that_no_host_can_have_is_told_as_one_that_is_not_there(host: str) -> None:
+    said = why_not(address(f"rtsp://{host}/x"), timeout_s=1)
+
+    assert said == f"there is no host of the name {host}"
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        f"top!{SECRET}",
+        f'"top ! {SECRET}"',
+        f"'top ! {SECRET}'",
+        f'"a \\" ! {SECRET} "',
+        f'"not closed ! {SECRET}',
+    ],
+)
+def test_a_password_that_holds_what_separates_elements_is_not_shown(value: str) -> None:
+    shown = pipeline_shown(f"rtspsrc user-pw={value} ! decodebin ! appsink")
+
+    assert SECRET not in shown
+    assert shown.startswith("GStreamer pipeline rtspsrc")
+
+
+def test_the_elements_behind_a_quoted_value_are_shown() -> None:
+    shown = pipeline_shown('rtspsrc location="a ! b" ! decodebin ! appsink')
+
+    assert shown == "GStreamer pipeline rtspsrc ! decodebin ! appsink"
 
 
 @settings(max_examples=40)
