@@ -33,7 +33,7 @@ def why_not(address: Address, *, timeout_s: float) -> str:
         return f"no video comes from port {address.port}; does anything listen there?"
     try:
         link = socket.create_connection((address.host, address.port), CONNECT_S)
-    except socket.gaierror:
+    except (socket.gaierror, UnicodeError):  # the codec idna refuses a part that is too long
         return f"there is no host of the name {harmless(address.host, 80)}"
     except TimeoutError:
         return f"the host does not answer on port {address.port} within {CONNECT_S:g} s"
