@@ -10,6 +10,7 @@ from drivers import regular_file
 from pipeline.errors import DriverError
 
 MOST_BYTES = 1 << 30  # of a file
+MOST_SHOWN = 60  # characters of a value in a sentence
 SPACE = " \t\r\n"  # between the parts of JSON
 Key = str | int
 
@@ -30,6 +31,18 @@ def read_json(path: Path) -> Any:
         raise DriverError(f"{path}:{error.lineno}: expected JSON: {error.msg}") from error
     except RecursionError as error:
         raise DriverError(f"{path}: expected JSON, got too many levels") from error
+    except ValueError as error:  # Python reads no number of more digits
+        raise DriverError(f"{path}: expected JSON with numbers of at most 4300 digits") from error
+
+
+def brief(value: Any) -> str:
+    """Return the beginning of a value for a sentence: it may be as long as its file.
+
+    >>> brief("x" * 1000)[-3:]
+    'xx…'
+    """
+    text = repr(value)
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
 
 
 @dataclass(frozen=True)
@@ -51,7 +64,8 @@ class Place:
             where = f"{self.path}:{line_of(read_text(self.path), self.keys)}"
         except (DriverError, ValueError, IndexError, RecursionError):  # changed meanwhile
             where = str(self.path)
-        named = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in self.keys)
+        shown = (f"[{k}]" if isinstance(k, int) else f".{k[:MOST_SHOWN]}" for k in self.keys)
+        named = "".join(shown)
         return f"{where}: {named.removeprefix('.')}"
 
 

@@ -19,6 +19,7 @@ from pipeline.errors import DriverError
 ILLEGIBLE = "###"
 MOST_TEXTS = 10_000  # of a picture
 MOST_LETTERS = 500  # of a text
+MOST_LINE = 20_000  # characters of a text with its outline
 TOTAL_TEXT = re.compile(
     r"x: \[\[(?P<x>[-\d\s]*)\]\], y: \[\[(?P<y>[-\d\s]*)\]\], ornt: \[u?'?[\w#]*'?\]"
     r", transcriptions: \[u?(?P<quote>['\"])(?P<text>.*)(?P=quote)\]\s*"
@@ -43,6 +44,8 @@ def read_icdar(path: Path) -> list[Label]:
         if not line.strip():
             continue
         where = f"{path}:{number}"
+        if len(line) > MOST_LINE:
+            raise DriverError(f"{where}: expected a line of at most {MOST_LINE} characters")
         cells = next(csv.reader([line], delimiter=" ", skipinitialspace=True))
         if len(cells) == 5 and not line.split(",")[0].lstrip("-").isdigit():
             left, top, right, low = _numbers(cells[:4], where)
@@ -86,6 +89,8 @@ def read_total_text(path: Path) -> list[Label]:
     for number, line in enumerate(read_text(path).splitlines(), 1):
         if not text:
             first = number
+        if len(text) + len(line) > MOST_LINE:
+            raise DriverError(f"{path}:{first}: expected a text of at most {MOST_LINE} characters")
         text = f"{text} {line}".strip()  # long rows of numbers are broken
         if not text or "transcriptions" not in text:
             continue
@@ -153,7 +158,7 @@ def _part(document: Any, name: str, kind: type, where: Place) -> Any:
 def _numbers(cells: list[Any], where: Place | str) -> list[float]:
     try:
         found = [float(cell) for cell in cells]
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise DriverError(f"{where}: expected numbers, got {str(cells)[:60]}") from error
     if not np.isfinite(found).all() or any(abs(value) > 1e6 for value in found):
         raise DriverError(f"{where}: expected pixels, got {str(cells)[:60]}")

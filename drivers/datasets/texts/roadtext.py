@@ -6,6 +6,7 @@ are not legible English are told as `###`.
 """
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.datasets.texts.files import Place, read_json
+from drivers.datasets.texts.files import Place, brief, read_json
 from drivers.datasets.texts.labels import ILLEGIBLE, MOST_LETTERS, MOST_TEXTS
 from drivers.datasets.video import VideoFile
 from drivers.source import Annotations, FrameSource
@@ -23,6 +24,7 @@ from pipeline.errors import DriverError
 READABLE = ("English_Legible", "English")
 CATEGORIES = (*READABLE, "Non_English_Legible", "Illegible")
 MOST_IDS = 2**31 - 1
+FRAME = re.compile(r"[0-9]{1,9}")
 Rows = dict[int, list[tuple[list[float], int, str]]]  # frame from 0 -> box, id, text
 
 
@@ -85,7 +87,7 @@ def _challenge(frames: Any, where: Place) -> Rows:
     found: Rows = {}
     for key, frame in frames.items():
         place = where / key
-        if not str(key).isdigit() or int(key) < 1:
+        if not FRAME.fullmatch(key) or int(key) < 1:
             raise DriverError(f"{place}: expected a frame from 1")
         found[int(key) - 1] = _rows(frame, place, {})
     return found
@@ -100,8 +102,8 @@ def _original(document: list[Any], said: Mapping[str, Any], video: str, path: Pa
         if Path(frame["videoName"]).stem != video:
             continue
         index = frame.get("index")
-        if not isinstance(index, int) or isinstance(index, bool) or index < 0:
-            raise DriverError(f"{place}: expected an index from 0, got {index!r}")
+        if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index <= MOST_IDS:
+            raise DriverError(f"{place}: expected an index from 0, got {brief(index)}")
         found[index] = _rows(frame, place, said)
     if not found:
         raise DriverError(f"{path}: expected a video {video}, got none of that name")
@@ -121,19 +123,23 @@ def _row(label: Any, place: Place, said: Mapping[str, Any]) -> tuple[list[float]
     box = label.get("box2d") if isinstance(label, dict) else None
     try:
         sides = [float(box[name]) for name in ("x1", "y1", "x2", "y2")]  # type: ignore[index]
-    except (TypeError, KeyError, ValueError) as error:
-        raise DriverError(f"{place}: expected box2d with x1, y1, x2, y2, got {box!r}") from error
+    except (TypeError, KeyError, ValueError, OverflowError) as error:
+        expected = "expected box2d with x1, y1, x2, y2"
+        raise DriverError(f"{place}: {expected}, got {brief(box)}") from error
     if not np.isfinite(sides).all() or sides[2] < sides[0] or sides[3] < sides[1]:
-        raise DriverError(f"{place}: expected a box with x2 after x1 and y2 after y1, got {box!r}")
+        raise DriverError(
+            f"{place}: expected a box with x2 after x1 and y2 after y1, got {brief(box)}"
+        )
     category, id_ = label.get("category"), label.get("id")
     if category not in CATEGORIES:
-        raise DriverError(f"{place}: expected category {', '.join(CATEGORIES)}, got {category!r}")
+        known = ", ".join(CATEGORIES)
+        raise DriverError(f"{place}: expected category {known}, got {brief(category)}")
     try:
         number = int(id_)
-    except (TypeError, ValueError) as error:
-        raise DriverError(f"{place}: expected a number as id, got {id_!r}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise DriverError(f"{place}: expected a number as id, got {brief(id_)}") from error
     if not 0 <= number <= MOST_IDS:
-        raise DriverError(f"{place}: expected an id of 0 to {MOST_IDS}, got {number}")
+        raise DriverError(f"{place}: expected an id of 0 to {MOST_IDS}, got {brief(number)}")
     text = label.get("ocr", said.get(str(id_), ""))
     if not isinstance(text, str) or len(text) > MOST_LETTERS:
         raise DriverError(f"{place}: expected a text of at most {MOST_LETTERS} letters")

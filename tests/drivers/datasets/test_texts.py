@@ -1,6 +1,7 @@
 """Data sets of texts: labels of pictures, RoadText videos, photographs panned over."""
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,9 @@ from pipeline.errors import DriverError, SettingsError
 from tests.shared_data import Footage
 
 SQUARE = [[10, 20], [60, 20], [60, 40], [10, 40]]
+
+
+LONG_POINT = f'{{"shapes": [{{"label": "A", "points": [[1{"0" * 400}, 1], [2, 2], [3, 1]]}}]}}'
 
 
 def written(path: Path, text: str) -> Path:
@@ -115,6 +119,28 @@ def test_malformed_files_are_refused_with_file_and_line(
 
     with pytest.raises(DriverError, match=sentence):
         readers[name[0]](written(tmp_path / name, text))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "sentence"),
+    [
+        ("gt.txt", "x" * 200_000, r"gt\.txt:1: expected a line of at most"),
+        ("gt.txt", f"1,2,3,4,5,6,7,{'9' * 400},A", r"gt\.txt:1: expected pixels"),
+        ("a.json", LONG_POINT, r"a\.json:1: .*expected numbers"),
+        ("a.json", f'{{"shapes": {"9" * 5000}}}', "expected JSON with numbers of at most 4300"),
+        ("poly_gt.txt", "0123456789\n" * 200_000, r"poly_gt\.txt:1: expected a text of at most"),
+    ],
+)
+def test_huge_numbers_and_lines_are_refused_at_once_with_file_and_line(
+    tmp_path: Path, name: str, text: str, sentence: str
+) -> None:
+    readers = {"g": read_icdar, "a": read_labelme, "p": read_total_text}
+    path = written(tmp_path / name, text)
+    began = time.process_time()
+
+    with pytest.raises(DriverError, match=sentence):
+        readers[name[0]](path)
+    assert time.process_time() - began < 1
 
 
 @settings(max_examples=60)
@@ -225,6 +251,12 @@ def test_the_original_release_takes_texts_from_a_second_file(tmp_path: Path) -> 
         ({"7": {"1": {"labels": [LABEL | {"category": "Klingon"}]}}}, "expected category"),
         ({"7": {"1": {"labels": [LABEL | {"id": "x"}]}}}, "expected a number as id"),
         ({"7": {"1": {"labels": [LABEL | {"box2d": BOX | {"x2": 0}}]}}}, "x2 after x1"),
+        ({"7": {"²": {"labels": None}}}, "expected a frame from 1"),
+        ({"7": {"9" * 5000: {"labels": None}}}, "expected a frame from 1"),
+        ({"7": {"1": {"labels": [LABEL | {"id": float("inf")}]}}}, "expected a number as id"),
+        ({"7": {"1": {"labels": [LABEL | {"id": 10**4000}]}}}, "expected an id of 0 to"),
+        ({"7": {"1": {"labels": [LABEL | {"box2d": BOX | {"x1": 10**400}}]}}}, "expected box2d"),
+        ([{"videoName": "7", "index": 10**4299}], "expected an index from 0"),
         ([{"videoName": "7", "index": -1}], r"t\.json:2: \[0\]: expected an index from 0"),
         ([], "expected a video 7, got none"),
         (3, "expected a list or videos by name"),
@@ -233,8 +265,11 @@ def test_the_original_release_takes_texts_from_a_second_file(tmp_path: Path) -> 
 def test_malformed_truth_is_refused_with_its_line(
     tmp_path: Path, document: Any, sentence: str
 ) -> None:
-    with pytest.raises(DriverError, match=sentence):
-        read_roadtext(written(tmp_path / "t.json", json.dumps(document, indent=1)), "7")
+    path = written(tmp_path / "t.json", json.dumps(document, indent=1))
+
+    with pytest.raises(DriverError, match=sentence) as refused:
+        read_roadtext(path, "7")
+    assert len(str(refused.value)) < 400
 
 
 documents = st.recursive(
