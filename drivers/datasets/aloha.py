@@ -5,6 +5,7 @@ The layout of ACT and ALOHA: attribute `sim`; `/observations/images/<camera>` (T
 h5py.
 """
 
+import math
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.datasets.pictures import check_size
 from drivers.source import Annotations
 from pipeline.errors import DriverError
 from pipeline.extras import need
@@ -22,7 +24,8 @@ from pipeline.whole_file import whole_file
 RATE_HZ = 50.0  # the files do not say it
 QPOS, QVEL, ACTION = "observations/qpos", "observations/qvel", "action"
 IMAGES = "observations/images"
-MOST_FRAMES = 100_000
+MOST_FRAMES, MOST_COLUMNS = 100_000, 256
+MOST_CHUNK_BYTES = 1 << 28  # what is unpacked to read any part of it
 MOST_REASON = 200  # characters of what the library says
 
 
@@ -38,7 +41,7 @@ class AlohaEpisode:
         need("h5py", path)
         self._path, self._file = path, _opened(path)
         try:
-            self.simulated = bool(self._file.attrs.get("sim", False))
+            self.simulated = self._simulated()
             self.qpos = self._numbers(QPOS)
             self.qvel, self.action = self._numbers(QVEL), self._numbers(ACTION)
             self._pictures = self._camera(camera)
@@ -69,11 +72,22 @@ class AlohaEpisode:
         with suppress(Exception):
             self._file.close()
 
+    def _simulated(self) -> bool:
+        try:
+            return bool(self._file.attrs.get("sim", False))
+        except Exception as error:  # as above; it may be several values, too
+            raise DriverError(f"{self._path}: sim: expected true or false, got others") from error
+
     def _numbers(self, name: str) -> NDArray[np.float32]:
         found = self._dataset(name)
-        if len(found.shape) != 2 or found.dtype.kind != "f" or not 1 <= len(found) <= MOST_FRAMES:
+        shape = found.shape
+        if len(shape) != 2 or found.dtype.kind != "f" or not 1 <= len(found) <= MOST_FRAMES:
             raise DriverError(
-                f"{self._path}: {name}: expected (T, n) numbers, got {found.dtype} {found.shape}"
+                f"{self._path}: {name}: expected (T, n) numbers, got {found.dtype} {shape}"
+            )
+        if shape[1] > MOST_COLUMNS:
+            raise DriverError(
+                f"{self._path}: {name}: expected at most {MOST_COLUMNS} columns, got {shape[1]}"
             )
         try:
             values = np.asarray(found[:], np.float32)
@@ -94,12 +108,15 @@ class AlohaEpisode:
                 f"{self._path}: camera: expected one of {', '.join(known)}, got {camera}"
             )
         found = self._dataset(f"{IMAGES}/{camera}")
-        shape = tuple[int, ...](getattr(found, "shape", ()))
+        shape = found.shape
         if len(shape) != 4 or shape[3] != 3 or found.dtype != np.uint8:
             raise DriverError(
                 f"{self._path}: {camera}: expected pictures (T, h, w, 3) uint8, got {shape}; "
                 "compressed ones must be unpacked first"
             )
+        check_size(f"{self._path}: {camera}", (shape[2], shape[1]))
+        if not min(shape[1:3]):
+            raise DriverError(f"{self._path}: {camera}: expected pictures, got empty ones")
         if len(found) != len(self.qpos):
             raise DriverError(
                 f"{self._path}: {camera}: expected {len(self.qpos)} pictures, got {len(found)}"
@@ -117,8 +134,13 @@ class AlohaEpisode:
             found = self._file[name]
         except Exception as error:  # as above
             raise DriverError(f"{self._path}: expected {name}, got none") from error
-        if not hasattr(found, "dtype"):
-            raise DriverError(f"{self._path}: {name}: expected numbers, got a group")
+        if not isinstance(getattr(found, "shape", None), tuple):  # some data sets are empty
+            raise DriverError(f"{self._path}: {name}: expected numbers, got none")
+        if found.chunks and math.prod(found.chunks) * found.dtype.itemsize > MOST_CHUNK_BYTES:
+            raise DriverError(
+                f"{self._path}: {name}: expected chunks of at most {MOST_CHUNK_BYTES} bytes, got "
+                f"{found.chunks} of {found.dtype}"
+            )
         return found
 
 

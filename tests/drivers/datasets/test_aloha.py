@@ -87,6 +87,52 @@ def test_parts_that_do_not_fit_one_another_are_refused(
         AlohaEpisode(path=str(episode(tmp_path, **changes)))
 
 
+QPOS, TOP = "observations/qpos", "observations/images/top"
+
+
+@pytest.mark.parametrize(
+    ("name", "made", "words"),
+    [
+        (QPOS, {"shape": (FRAMES, 200_000), "dtype": "f4"}, "at most 256 columns, got 200000"),
+        (
+            QPOS,
+            {"shape": (FRAMES, 14), "maxshape": (None, None), "chunks": (1 << 16, 1 << 12),
+             "dtype": "f4"},
+            "expected chunks of at most",
+        ),
+        (QPOS, {"data": h5py.Empty("f4")}, "qpos: expected numbers, got none"),
+        (TOP, {"data": h5py.Empty("u1")}, "top: expected numbers, got none"),
+        (TOP, {"shape": (FRAMES, 40_000, 8, 3), "dtype": "u1"}, "top: .* got 8x40000"),
+        (TOP, {"shape": (FRAMES, 20_000, 20_000, 3), "dtype": "u1"}, "top: .* got 20000x20000"),
+        (TOP, {"shape": (FRAMES, 0, 8, 3), "dtype": "u1"}, "top: expected pictures, got empty"),
+    ],
+)  # fmt: skip
+def test_parts_that_are_too_large_or_empty_are_refused(
+    tmp_path: Path, name: str, made: dict[str, Any], words: str
+) -> None:
+    path = episode(tmp_path)
+    with h5py.File(path, "a") as file:
+        del file[name]
+        file.create_dataset(name, **({} if "data" in made else {"chunks": True}) | made)
+
+    with pytest.raises(DriverError, match=words):
+        AlohaEpisode(path=str(path))
+
+
+def test_a_type_and_an_attribute_of_several_values_are_refused(tmp_path: Path) -> None:
+    path = episode(tmp_path)
+    with h5py.File(path, "a") as file:
+        del file[QPOS]
+        file[QPOS] = np.dtype("f4")
+
+    with pytest.raises(DriverError, match="qpos: expected numbers, got none"):
+        AlohaEpisode(path=str(path))
+    with h5py.File(path, "a") as file:
+        file.attrs["sim"] = [1, 0]
+    with pytest.raises(DriverError, match="sim: expected true or false"):
+        AlohaEpisode(path=str(path))
+
+
 @pytest.mark.parametrize("name", ["action", "observations/qpos", "observations/images"])
 def test_a_part_that_is_missing_is_named(tmp_path: Path, name: str) -> None:
     path = episode(tmp_path)
