@@ -136,10 +136,12 @@ class Record(Operator[RecordSettings, None]):
         figures = recorder.figures()
         counts = total(figures)
         files = [str(path) for path in recorder.files]
+        place = f" to {', '.join(files[:3])}" if files else ""  # a ring may never be written
+        passed = f", {counts['passed']} passed through the ring" if counts.get("passed") else ""
         found: dict[str, Any] = {
             "files": files, "outputs": figures,
-            HEADLINE: f"recorded {counts.get('recorded', 0)} messages to {', '.join(files[:3])}, "
-            f"dropped {counts.get('dropped', 0)}",
+            HEADLINE: f"recorded {counts.get('recorded', 0)} messages{place}, dropped "
+            f"{counts.get('dropped', 0)}{passed}",
         }  # fmt: skip
         return {**found, INCOMPLETE: failure} if failure else found
 

@@ -48,6 +48,7 @@ class Account:
 
     recorded: int = 0
     dropped: int = 0  # the queue was full, or the disk
+    passed: int = 0  # left the ring, or were in it at the end: nobody asked for them
     gaps: int = 0  # frames between two recorded ones of a stream
     refused: int = 0  # could not be encoded
     last: tuple[str, int] = field(default=("", -1))
@@ -60,7 +61,8 @@ class Account:
 
     def figures(self) -> dict[str, int]:
         """Return the counts by name."""
-        return {name: getattr(self, name) for name in ("recorded", "dropped", "gaps", "refused")}
+        names = ("recorded", "dropped", "passed", "gaps", "refused")
+        return {name: getattr(self, name) for name in names}
 
 
 class _Queued(NamedTuple):
@@ -70,6 +72,19 @@ class _Queued(NamedTuple):
     message: Message
     at_ns: int
     nbytes: int
+
+
+class _Encoded(NamedTuple):
+    """What is to be written together: facts, and at most one message with what belongs to it."""
+
+    items: list[Item]
+    output: str = ""  # of the message; empty: there is none
+    stream: str = ""
+    seq: int = -1
+
+    @property
+    def nbytes(self) -> int:
+        return sum(len(item.data) for item in self.items)
 
 
 class Recorder:
@@ -82,7 +97,7 @@ class Recorder:
         self._facts: deque[Item] = deque(maxlen=10_000)
         self._kept: dict[str, Item] = {}  # the newest of each fact, for the next file
         self._picture = ("", (0, 0))  # the output that boxes are drawn on, and its size
-        self._ring: deque[list[Item]] = deque()
+        self._ring: deque[_Encoded] = deque()
         self._ring_bytes = self._bytes = self._seen_bytes = 0
         self._room, self._ended = threading.Condition(), False
         self.accounts: dict[str, Account] = {}
@@ -144,32 +159,35 @@ class Recorder:
 
     def _run(self) -> None:
         try:
-            for items, why in self._taken():
+            for encoded, why in self._taken():
                 if self._limits.ring_s:
-                    self._keep(items, why)
-                elif items:
-                    self._write(items)
+                    self._keep(encoded, why)
+                elif encoded.items:
+                    self._write(encoded)
                 if self._writer is not None:
                     self._writer.look()
                     self._note_chunk(self._writer)
+            while self._ring:
+                self._pass()
             if self._writer is not None:
                 self._end(self._writer)
         except Exception as error:  # whatever ends this thread, writers must not wait for it
             why = (isinstance(error, OSError) and error.strerror) or said_by(error)
             with self._room:
                 self.failure = f"{self._path}: {why}; what was written before can be read"
-                for queued in self._waiting:
-                    if isinstance(queued, _Queued):
-                        self.accounts[queued.output].dropped += 1
+                for lost in (*self._waiting, *self._ring):
+                    if not isinstance(lost, str) and lost.output:
+                        self.accounts[lost.output].dropped += 1
                 for output in (*self._unwritten.elements(), *filter(None, [self._in_hand])):
                     self.accounts[output].recorded -= 1
                     self.accounts[output].dropped += 1
                 self._waiting.clear()
+                self._ring.clear()
                 self._room.notify_all()
             if self._writer is not None:
                 self._writer.abandon()
 
-    def _taken(self) -> Iterator[tuple[list[Item], str]]:
+    def _taken(self) -> Iterator[tuple[_Encoded, str]]:
         """Yield what to write next, or why to write the ring, and nothing at intervals."""
         while True:
             with self._room:
@@ -183,28 +201,26 @@ class Recorder:
                 return
             self._kept.update({item.topic.name: item for item in facts})
             if isinstance(taken, str):
-                yield facts, taken
+                yield _Encoded(facts), taken
                 continue
-            yield [*facts, *self._encoded(taken)], ""
+            yield self._encoded(taken, facts), ""
             with self._room:
                 self._bytes -= taken.nbytes
                 self._room.notify_all()
 
-    def _encoded(self, queued: "_Queued") -> list[Item]:
+    def _encoded(self, queued: _Queued, facts: list[Item]) -> _Encoded:
         account, header = self.accounts[queued.output], queued.message.header
         try:
             items = items_of(queued.output, queued.message, queued.at_ns)
         except MessageError:
             account.refused += 1
-            return []
+            return _Encoded(facts)
         self._find_picture(queued)
         on_it = annotations(queued.message, self._picture[1])
         if on_it is not None:
             topic = foxglove.topic(f"{topic_of(queued.output)}/boxes", foxglove.ANNOTATIONS)
             items.append(Item(topic, queued.at_ns, header.seq, on_it))
-        account.count(header.stream, header.seq)
-        self._in_hand = "" if self._limits.ring_s else queued.output
-        return items
+        return _Encoded([*facts, *items], queued.output, header.stream, header.seq)
 
     def _find_picture(self, queued: "_Queued") -> None:
         """Take the first output that shows the whole field as the one that boxes are drawn on."""
@@ -218,8 +234,9 @@ class Recorder:
                     shown = {"picture": f"{topic_of(queued.output)}{IMAGE}"}
                     self._facts.append(fact("boxes", shown, queued.at_ns))
 
-    def _write(self, items: list[Item]) -> None:
+    def _write(self, encoded: _Encoded) -> None:
         assert self._writer is not None
+        self._count(encoded)
         limits, age_s = self._limits, time.monotonic() - self._began_s
         large = limits.file_bytes and self._writer.size_bytes >= limits.file_bytes
         if large or (limits.file_s and age_s >= limits.file_s):
@@ -227,12 +244,21 @@ class Recorder:
             self._unwritten.clear()
             self._writer = None
             self._writer = self._begin()
+        self._add(self._writer, encoded.items)
+
+    def _count(self, encoded: _Encoded) -> None:
+        """Count a message as recorded that is now written."""
+        if encoded.output:
+            self.accounts[encoded.output].count(encoded.stream, encoded.seq)
+            self._in_hand = encoded.output
+
+    def _add(self, writer: McapWriter, items: list[Item]) -> None:
         for item in items:
-            self._writer.add(item)
+            writer.add(item)
             if self._in_hand and item.topic.name == topic_of(self._in_hand):
                 self._unwritten[self._in_hand] += 1
                 self._in_hand = ""
-            self._note_chunk(self._writer)
+            self._note_chunk(writer)
 
     def _note_chunk(self, writer: McapWriter) -> None:
         """Note when a chunk has been written: what was in it is recorded."""
@@ -240,27 +266,36 @@ class Recorder:
             self._seen_bytes = writer.size_bytes
             self._unwritten.clear()
 
-    def _keep(self, items: list[Item], why: str) -> None:
+    def _keep(self, encoded: _Encoded, why: str) -> None:
         """Keep the newest in memory; write them for an event."""
         limits = self._limits
-        if items:
-            self._ring.append(items)
-            self._ring_bytes += _bytes(items)
-        newest_ns = self._ring[-1][-1].log_ns if self._ring else 0
+        if encoded.items:
+            self._ring.append(encoded)
+            self._ring_bytes += encoded.nbytes
+        newest_ns = self._ring[-1].items[-1].log_ns if self._ring else 0
         while self._ring and (
             self._ring_bytes > limits.ring_bytes
-            or self._ring[0][-1].log_ns < newest_ns - limits.ring_s * NS
+            or self._ring[0].items[-1].log_ns < newest_ns - limits.ring_s * NS
         ):
-            self._ring_bytes -= _bytes(self._ring.popleft())
+            self._pass()
         if why:
-            writer = self._begin()
+            self._writer = writer = self._begin()
             writer.add(fact("events", {"event": why}, time.time_ns()))
-            for kept in self._ring:
-                for item in kept:
-                    writer.add(item)
-            self._ring.clear()
-            self._ring_bytes = 0
+            while self._ring:
+                kept = self._ring.popleft()
+                self._ring_bytes -= kept.nbytes
+                self._count(kept)
+                self._add(writer, kept.items)
             self._end(writer)
+            self._writer = None
+            self._unwritten.clear()
+
+    def _pass(self) -> None:
+        """Let go of the oldest that the ring holds."""
+        oldest = self._ring.popleft()
+        self._ring_bytes -= oldest.nbytes
+        if oldest.output:
+            self.accounts[oldest.output].passed += 1
 
     def _begin(self) -> McapWriter:
         path = self._path
@@ -279,8 +314,12 @@ class Recorder:
                 raise RunError(f"{path}: cannot be written: {error.strerror}") from error
             self._began_s = time.monotonic()
             self.files.append(path)
-            for item in self._kept.values():
-                writer.add(item)
+            try:
+                for item in self._kept.values():
+                    writer.add(item)
+            except BaseException:
+                writer.abandon()
+                raise
             self._seen_bytes = writer.size_bytes
             return writer
         raise RunError(f"{self._path}: expected fewer than {MOST_PARTS} files beside it")
@@ -288,10 +327,6 @@ class Recorder:
     def _end(self, writer: McapWriter) -> None:
         writer.add(fact("end", {"accounts": self.figures()}, time.time_ns()))
         writer.close()
-
-
-def _bytes(items: list[Item]) -> int:
-    return sum(len(item.data) for item in items)
 
 
 def total(figures: dict[str, dict[str, int]]) -> dict[str, int]:

@@ -174,6 +174,19 @@ def test_a_ring_is_written_when_the_target_is_lost(tmp_path: Path) -> None:
     assert not (tmp_path / "a-2.mcap").exists()
 
 
+def test_a_ring_that_was_never_written_has_recorded_nothing(tmp_path: Path) -> None:
+    subject = Record(RecordSettings(path=str(tmp_path / "a.mcap"), ring_s=30))
+    subject.open()
+    for seq in range(3):
+        subject.take("frame_1", frame(seq))
+
+    found = subject.summary()
+    subject.close()
+
+    assert found["headline"] == "recorded 0 messages, dropped 0, 3 passed through the ring"
+    assert found["files"] == []
+
+
 def test_a_recorder_without_a_file_is_refused() -> None:
     with pytest.raises(SettingsError, match=r"^Record: path: expected a file to write, got none$"):
         drive(Record, [{"frame_1": frame(0)}], {})
