@@ -24,6 +24,8 @@ FULL, HIGH, SUPER = 1, 2, 4  # flags: speeds that descriptors follow for
 PACKETS_BYTES = (64, 512, MAX_PACKET_BYTES)  # of a bulk end point, at these speeds
 EVENT = struct.Struct("<8sB3x")
 DETACH = 2  # MNT_DETACH
+FOLDER = "fovea-gadget-"  # what the names of folders begin with that are made to mount it
+MOUNTS = Path("/proc/self/mounts")
 # what ep0 answers when the host has given a request up, has gone, or was refused as wanted
 OVER = (errno.EIDRM, errno.ESRCH, errno.EL2HLT, errno.ESHUTDOWN, errno.ENODEV, errno.ECONNRESET)
 
@@ -63,7 +65,7 @@ class FunctionFs:
 
     def open(self) -> list[Path]:
         """Mount and describe the function; return its end points. Raises `DriverError`."""
-        self._folder = Path(tempfile.mkdtemp(prefix="fovea-gadget-"))
+        self._folder = Path(tempfile.mkdtemp(prefix=FOLDER))
         self._mounted = True  # before it is: a signal may come in between
         try:
             _mount(self._name, self._folder)
@@ -132,10 +134,11 @@ def descriptor_block() -> bytes:
     return struct.pack("<3I", DESCRIPTORS, 12 + len(body), FULL | HIGH | SUPER) + body
 
 
-def unmount_leftovers(name: str, mounts: Path = Path("/proc/self/mounts")) -> None:
-    """Unmount what a killed program of this name left."""
+def unmount_leftovers(name: str, mounts: Path = MOUNTS) -> None:
+    """Unmount what a killed program of this name left, in folders that it made."""
     for words in (line.split() for line in mounts.read_text().splitlines()):
-        if words[0] == name and words[2] == "functionfs":
+        ours = Path(words[1]).name.startswith(FOLDER)
+        if words[0] == name and words[2] == "functionfs" and ours:
             _libc.umount2(os.fsencode(words[1]), DETACH)
             Path(words[1]).rmdir()
 

@@ -24,7 +24,7 @@ from drivers.virtual_board.command_line import board_options, board_settings
 from drivers.virtual_board.descriptors import STRINGS
 from drivers.virtual_board.end_point import WAKE, EndPoint, StreamWriter
 from drivers.virtual_board.errors import Gone, Refused
-from drivers.virtual_board.function_fs import EventKind, FunctionFs, unmount_leftovers
+from drivers.virtual_board.function_fs import EventKind, FunctionFs
 from drivers.virtual_board.gadget_configuration import GadgetConfiguration, controller_of
 from drivers.virtual_board.setup_packet import INTERFACE, SetupPacket
 from pipeline.errors import DriverError, FoveaError
@@ -48,7 +48,6 @@ def serve(
             controller = controller_of(controller)
             configuration = GadgetConfiguration(name)
             made.callback(configuration.close)
-            unmount_leftovers(name)
             configuration.make(serial)
             function = FunctionFs(name)
             made.callback(function.close)

@@ -11,6 +11,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from drivers.virtual_board.descriptors import CONFIGURATION, DEVICE, STRINGS
+from drivers.virtual_board.function_fs import MOUNTS, unmount_leftovers
 from pipeline.errors import DriverError, SettingsError
 
 CONFIG_FS = Path("/sys/kernel/config")
@@ -24,10 +25,11 @@ NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 class GadgetConfiguration:
     """A gadget with one FunctionFS function of the same name; `close` is safe after any outcome."""
 
-    def __init__(self, name: str, *, config_fs: Path = CONFIG_FS) -> None:
+    def __init__(self, name: str, *, config_fs: Path = CONFIG_FS, mounts: Path = MOUNTS) -> None:
         if not NAME.fullmatch(name):
             raise SettingsError(f"--name: expected 1 to 32 letters, digits, - or _, got {name!r}")
         self.folder = config_fs / "usb_gadget" / name
+        self._name, self._mounts = name, mounts
         self._function = self.folder / "functions" / f"ffs.{name}"
         self._made = ExitStack()
 
@@ -38,6 +40,8 @@ class GadgetConfiguration:
                 f"gadget: {self.folder.parent}: not there; `modprobe libcomposite` and "
                 f"`mount -t configfs none {self.folder.parent.parent}` make it"
             )
+        self._check_unused()
+        unmount_leftovers(self._name, self._mounts)  # of a killed program, not of one that runs
         self._remove_leftovers()
         try:
             self._describe(serial)
@@ -87,17 +91,24 @@ class GadgetConfiguration:
         self._made.callback(_quietly, path.rmdir)
         path.mkdir()
 
+    def _check_unused(self) -> None:
+        """Raise `DriverError` where a gadget of this name is plugged in."""
+        try:
+            controller = (self.folder / "UDC").read_text().strip()
+        except OSError:
+            return  # there is none; what cannot be removed is refused later
+        if controller:
+            raise DriverError(
+                f"--name: expected a name that no gadget has, got that of one at {controller}"
+            )
+
     def _remove_leftovers(self) -> None:
-        """Remove what a killed program left; raises `DriverError` where it still runs."""
+        """Remove what a killed program left."""
         if not self.folder.is_dir():
             return
         configuration = self.folder / "configs" / "c.1"
         strings = self.folder / "strings" / LANGUAGE
         try:
-            if controller := (self.folder / "UDC").read_text().strip():
-                raise DriverError(
-                    f"--name: expected a name that no gadget has, got that of one at {controller}"
-                )
             _quietly((configuration / self._function.name).unlink)
             for path in (configuration, self._function, strings, self.folder):
                 _quietly(path.rmdir)

@@ -20,6 +20,8 @@ from drivers.usb.requests import Request
 from drivers.virtual_board.board import VirtualBoard
 from drivers.virtual_board.end_point import WAKE, EndPoint, StreamWriter
 from drivers.virtual_board.function_fs import FULL, HIGH, SUPER, descriptor_block
+from drivers.virtual_board.gadget_configuration import GadgetConfiguration
+from pipeline.errors import DriverError
 from tests.drivers.usb.boards import configured
 
 LIMIT_S = 20.0
@@ -40,6 +42,24 @@ def test_the_kernel_is_told_the_interface_at_each_speed() -> None:
     assert (magic, length, flags) == (3, len(block), FULL | HIGH | SUPER)
     assert (counts, kinds) == ([3, 3, 5], [4, 5, 5, 4, 5, 5, 4, 5, 0x30, 5, 0x30])
     assert packets == [(0x81 + k, 2, size) for size in (64, 512, 1024) for k in range(2)]
+
+
+@pytest.mark.parametrize(("controller", "left"), [("a.usb", True), ("", False)])
+def test_what_a_gadget_that_runs_has_mounted_stays_mounted(
+    tmp_path: Path, controller: str, left: bool
+) -> None:
+    (tmp_path / "usb_gadget" / "fovea").mkdir(parents=True)
+    (tmp_path / "usb_gadget" / "fovea" / "UDC").write_text(f"{controller}\n")
+    mounted, of_another = tmp_path / "fovea-gadget-1", tmp_path / "another"
+    mounts = tmp_path / "mounts"
+    mounts.write_text("".join(f"fovea {p} functionfs rw 0 0\n" for p in (mounted, of_another)))
+    for folder in (mounted, of_another):
+        folder.mkdir()  # removed where it is unmounted
+
+    with pytest.raises(DriverError, match="expected a name that no gadget has"):
+        GadgetConfiguration("fovea", config_fs=tmp_path, mounts=mounts).make("1")
+
+    assert (mounted.exists(), of_another.exists()) == (left, True)
 
 
 class Recording(EndPoint):
