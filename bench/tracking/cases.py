@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-from bench.tracking.budgets import PURSUIT
+from bench.tracking.budgets import PLANNED, PURSUIT
 from bench.tracking.episode import Rules
 from bench.tracking.options import Options
 from drivers.simulated.strategies import WITH_ROI
@@ -82,7 +82,6 @@ def cases(options: Options) -> list[Case]:
 
 def _planned(options: Options, budget: str, rules: Sequence[Rules]) -> list[Case]:
     """Return the policy's cases: one for each file, rule and set of parts known from the truth."""
-    late = len({(rule.delay, rule.replan) for rule in rules}) > 1
     found = []
     for (label, path), rule, parts in product(
         options.policy.items(), rules, [(), *options.replace]
@@ -92,7 +91,7 @@ def _planned(options: Options, budget: str, rules: Sequence[Rules]) -> list[Case
         case = Case(
             strategy="foveated",
             budget=budget,
-            name=name + suffix(rule, late=late),
+            name=name + suffix(rule, late=_several(rules)),
             rules=rule,
             replaced=parts,
             changes=options.changes,
@@ -105,31 +104,35 @@ def _planned(options: Options, budget: str, rules: Sequence[Rules]) -> list[Case
 def _plain(
     strategy: str, budget: str, rules: Sequence[Rules], changes: tuple[str, ...]
 ) -> list[Case]:
-    """Return cases of a strategy without a policy: one for each way in which its tracker works."""
+    """Return cases of a strategy without a network: one for each rule that it differs by."""
     policy = "round_robin" if strategy == "round_robin" else PURSUIT  # they need no network
-    looks = strategy in WITH_ROI
-    kept = dict.fromkeys(
-        Rules(
-            context=rule.context or not looks,
-            local=rule.local and looks,
-            cue=rule.cue,
-            cue_delay=rule.cue_delay,
-            to_end=rule.to_end,
-            longest=rule.longest,
-        )
-        for rule in rules
-    )
+    kept = dict.fromkeys(_own(strategy, rule) for rule in rules)
     return [
         Case(
             strategy=strategy,
             budget=budget,
-            name=strategy + suffix(rule, late=False),
+            name=strategy + suffix(rule, late=strategy in PLANNED and _several(rules)),
             rules=rule,
             changes=changes,
             policy=policy,
         )
         for rule in kept
     ]
+
+
+def _own(strategy: str, rule: Rules) -> Rules:
+    """Return a rule as a strategy has it: late plans only where there are plans."""
+    looks = strategy in WITH_ROI
+    own = replace(rule, context=rule.context or not looks, local=rule.local and looks)
+    if strategy in PLANNED:
+        return own
+    plain = Rules()
+    return replace(own, delay=plain.delay, replan=plain.replan, prediction=plain.prediction)
+
+
+def _several(rules: Sequence[Rules]) -> bool:
+    """Whether rows must name their delay and Ta."""
+    return len({(rule.delay, rule.replan) for rule in rules}) > 1
 
 
 def rules_of(options: Options) -> list[Rules]:

@@ -118,11 +118,13 @@ def paired(units: Sequence[Unit], cases: Sequence[Case]) -> list[Row]:
     """Return differences between rows at the same budget (and to `full`), paired by block.
 
     Each row of the policy is compared with rows of other strategies, and with those of the policy
-    that `varies` accepts; a comparison of all rows would be too long.
+    that `varies` accepts; a comparison of all rows would be too long. The round robin's plans must
+    come as late as the policy's.
     """
     tallies = gathered(units)
     blocks = {key: tally.kept for key, tally in tallies.items()}
     planned = {case.name: case for case in cases if case.strategy == "foveated"}
+    toured = {case.name: case for case in cases if case.strategy == "round_robin"}
     first = next(iter(planned.values()), None)
     found = []
     for (target, strategy, budget), own in blocks.items():
@@ -134,6 +136,8 @@ def paired(units: Sequence[Unit], cases: Sequence[Case]) -> list[Row]:
             if not same_help(strategy, other):
                 continue
             if first and other in planned and not varies(planned[strategy], planned[other], first):
+                continue
+            if other in toured and plans_of(planned[strategy]) != plans_of(toured[other]):
                 continue
             middle, low, high = difference(own, theirs)
             both = own.keys() & theirs.keys()
@@ -206,11 +210,15 @@ def share(budget: str) -> float:
 def varies(case: Case, other: Case, first: Case) -> bool:
     """Whether `other` differs from `case` in one option, in which `case` equals the `first` row."""
     ours, theirs, plain = (
-        ((c.changes, c.policy), c.replaced, c.rules.delay, c.rules.replan, c.rules.prediction)
-        for c in (case, other, first)
+        ((c.changes, c.policy), c.replaced, *plans_of(c)) for c in (case, other, first)
     )
     differ = [k for k, value in enumerate(ours) if value != theirs[k]]
     return len(differ) == 1 and ours[differ[0]] == plain[differ[0]]
+
+
+def plans_of(case: Case) -> tuple[int, int, bool]:
+    """Return how late and how often a case plans, and whether by predicted boxes."""
+    return case.rules.delay, case.rules.replan, case.rules.prediction
 
 
 def gathered(units: Sequence[Unit]) -> dict[Key, Tally]:

@@ -142,6 +142,22 @@ def test_only_strategies_that_are_asked_for_have_rows() -> None:
     assert not read().states
 
 
+def test_late_and_rare_plans_hold_for_the_round_robin_as_for_the_policy_and_for_no_other() -> None:
+    asked = ("--delay", "0,13", "--replan", "4", "--prediction", "hold", "--budgets", "1/8")
+    found = cases(read("--strategies", "foveated,round_robin,oracle,spatial", *asked))
+
+    told = {s: [c for c in found if c.strategy == s] for s in ("foveated", "round_robin")}
+    assert [case.rules for case in told["round_robin"]] == [c.rules for c in told["foveated"]]
+    assert [case.name for case in told["round_robin"]] == [
+        f"round_robin, delay {delay}, Ta 4, no prediction, no cue" for delay in (0, 13)
+    ]
+    others = [case for case in found if case.strategy in ("oracle", "spatial")]
+    assert [case.name for case in others] == ["oracle, no cue", "spatial, no cue"]
+    assert [(c.rules.delay, c.rules.replan, c.rules.prediction) for c in others] == [
+        (0, 1, True)
+    ] * 2
+
+
 def test_two_policies_of_one_name_are_refused(tmp_path: Path) -> None:
     files = [tmp_path / run / "policy.onnx" for run in ("a", "b")]
     for file in files:

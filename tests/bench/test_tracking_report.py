@@ -105,3 +105,18 @@ def test_a_policys_row_is_paired_with_other_strategies_and_those_with_one_other_
         }
     )
     assert len(found) == 4 * len(at_eighth) - 2 * len(planned)  # no full row for the referee
+
+
+def test_a_policys_row_is_paired_with_the_round_robin_whose_plans_come_as_late() -> None:
+    cases = [
+        Case(strategy=s, budget="1/8", name=f"{s}, delay {d}", rules=Rules(delay=d))
+        for s in ("foveated", "round_robin")
+        for d in (0, 13)
+    ]
+    units = [unit(case.name, "player", "1/8", 0.5) for case in cases]
+
+    found = [row for row in paired(units, cases) if row["against"].startswith("round_robin")]
+
+    assert [(row["strategy"], row["against"]) for row in found] == [
+        (f"foveated, delay {d}", f"round_robin, delay {d}") for d in (0, 13)
+    ]
