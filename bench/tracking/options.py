@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from bench.outputs import PLOTS, make_room
 from bench.tracking.budgets import CONTEXT, PURSUIT, parsed
+from bench.tracking.episode import Rules
 from bench.tracking.replaced import PARTS, Replaced
 from bench.tracking.targets import KINDS
 from drivers.datasets.sequence import span
@@ -23,6 +24,12 @@ LEAST = {
     **dict.fromkeys(("clips", "players", "every", "longest", "replan", "jobs"), 1),
     **dict.fromkeys(("delay", "seed"), 0),
 }
+UNUSED_BY_MANY: Mapping[str, Any] = {  # with their defaults
+    "targets": tuple(KINDS), "players": 1, "every": 8, "longest": Rules.longest,
+    "tracker": "", "sees": "both", "cue": "none", "protocol": "short", "states": False,
+    "replan": (1,), "prediction": "kalman", "replace": (),
+    "jobs": 2, "seed": 0, "plot": None, "work": None,
+}  # fmt: skip
 T = TypeVar("T")
 
 
@@ -79,8 +86,19 @@ class Options:
             )
         if not 0 <= self.missed < 1:
             raise SettingsError(f"missed: expected 0 to below 1, got {self.missed}")
+        self._refuse_unused()
         if self.plot and self.plot.suffix not in PLOTS:
             raise SettingsError(f"plot: expected {', '.join(PLOTS)} at the end, got {self.plot}")
+
+    def _refuse_unused(self) -> None:
+        """Raise `SettingsError` for what would not change the figures that are asked for."""
+        if self.missed and not self.many:
+            raise SettingsError(f"missed: expected only with --many, got {self.missed} without")
+        for name, default in UNUSED_BY_MANY.items() if self.many else ():
+            if getattr(self, name) != default:
+                raise SettingsError(
+                    f"{name}: expected no --{name} with --many, which does not depend on it"
+                )
 
     @property
     def folder(self) -> Path:

@@ -46,6 +46,7 @@ def read(*words: str) -> Options:
         (["--plot", "plot.xyz"], "plot: expected .png, .pdf, .svg at the end, got plot.xyz"),
         (["--plot", "plot"], "plot: expected .png, .pdf, .svg at the end, got plot"),
         (["--data", "/nowhere"], "/nowhere: expected a folder of SoccerNet sequences"),
+        (["--missed", ".3"], "missed: expected only with --many, got 0.3 without"),
     ],
 )
 def test_wrong_options_are_refused_in_one_sentence(words: list[str], said: str) -> None:
@@ -54,6 +55,37 @@ def test_wrong_options_are_refused_in_one_sentence(words: list[str], said: str) 
     assert result.exit_code == 2
     assert result.output.startswith(f"fovea eval tracking: {said}")
     assert len(result.output.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["--targets", "ball"], ["--players", "2"], ["--every", "4"], ["--longest", "9"]),
+        *(["--tracker", "vittrack"], ["--sees", "roi"], ["--cue", "each"]),
+        *(["--protocol", "long"], ["--states"], ["--replan", "4"], ["--prediction", "hold"]),
+        *(["--replace", "tracker"], ["--jobs", "4"], ["--seed", "3"]),
+        *(["--plot", "plot.png"], ["--work", "work"]),
+    ],
+)
+def test_what_the_score_of_many_objects_does_not_depend_on_is_refused(words: list[str]) -> None:
+    result = CliRunner().invoke(command, ["--data", "procedural", "--many", *words])
+
+    assert result.exit_code == 2
+    name = words[0].removeprefix("--")
+    assert result.output == (
+        f"fovea eval tracking: {name}: expected no --{name} with --many, which does not depend on "
+        "it\n"
+    )
+
+
+def test_the_score_of_many_objects_takes_what_it_depends_on() -> None:
+    used = ("--frames", "1-9", "--clips", "2", "--budgets", "1/8", "--strategies", "context,greedy")
+    more = ("--delay", "0,13", "--missed", ".3", "--policy", "pursuit", "--graph", "many")
+
+    found = read("--many", *used, *more, "--set", "identity.likeness=.9", "--report", "r.json")
+
+    assert (found.delay, found.missed, found.policy) == ((0, 13), 0.3, {"": "pursuit"})
+    assert read("--many").strategies == ALL
 
 
 @pytest.mark.parametrize("output", ["report", "markdown", "plot", "work"])
