@@ -23,10 +23,8 @@ TRACKING = (
     *("budgets", "camera", "classes", "clip", "consumer", "cue", "episode", "job"),
     *("replaced", "roi_path", "sight", "stages", "stock", "targets"),
 )
-CODE = (  # that determines figures, besides the operators that a case needs
-    *("drivers", "pipeline.boxes", "pipeline.inference", "pipeline.messages"),
-    *(f"bench.tracking.{name}" for name in TRACKING),
-)
+# what determines figures, besides the operators that a case needs and what these share
+CODE = ("drivers", *(f"bench.tracking.{name}" for name in TRACKING))
 
 
 def key(case: Case, protocol: Protocol) -> str:

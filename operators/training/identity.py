@@ -20,6 +20,10 @@ from pipeline.weights import entries, require
 
 Identity = Mapping[str, str]
 INDIFFERENT = {"data", "out", "threads", "device", "minutes", "compiled"}
+SHARED = (  # with what nodes calculate, besides their own code
+    *("pipeline.boxes", "pipeline.colours", "pipeline.inference", "pipeline.messages"),
+    *("pipeline.pixel_formats", "pipeline.text"),
+)
 DIGITS = 16  # of a checksum: enough to tell apart, short enough to be read
 
 
@@ -40,7 +44,7 @@ def of_plan(plan: Plan) -> dict[str, str]:
 
 def of_nodes(nodes: Iterable[Node]) -> dict[str, str]:
     """Code, networks and settings of nodes, defaults included."""
-    found: dict[str, str] = {}
+    found = of_code(*SHARED)
     for node in nodes:
         cls = settings_of(load_operator(node.operator))
         values = checked.plain(checked.build(cls, node.settings, node.name))

@@ -72,6 +72,12 @@ def test_other_code_of_a_part_makes_another_unit(
     assert keyed(graph, "spatial") == plain
 
 
+@pytest.mark.parametrize("strategy", ["foveated", "spatial"])
+def test_a_unit_depends_on_the_code_that_its_operators_share(strategy: str) -> None:
+    for module in ("boxes", "colours", "inference", "messages", "pixel_formats"):
+        assert f"code of pipeline.{module}" in keyed(GRAPH, strategy)
+
+
 def test_an_unfinished_unit_keeps_its_episodes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
