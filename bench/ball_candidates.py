@@ -64,7 +64,7 @@ def candidates(
         looker.known(name)
     source = SoccerNetSequence(path=str(sequence))
     truths = truths_of(source)
-    balls = targets(truths, [BALL], players=1, seed=0)
+    balls = targets(truths, [BALL], players=1, seed=0, width_px=source.size_px[0])
     if not balls:
         raise DriverError(
             f"{sequence}: expected a ball in at least a tenth of the frames, got none"

@@ -59,7 +59,8 @@ def window(picture: NDArray[np.uint8], ball: Array, rng: np.random.Generator) ->
 def of_sequence(folder: Path, every: int, seed: int) -> Iterator[tuple[str, Labelled]]:
     """Yield state and window of the visible balls of a SoccerNet folder."""
     rng, source = np.random.default_rng(seed), SoccerNetSequence(path=str(folder))
-    balls = targets(truths_of(source), [BALL], players=1, seed=0)
+    width_px = source.size_px[0]
+    balls = targets(truths_of(source), [BALL], players=1, seed=0, width_px=width_px)
     if not balls:
         raise DriverError(f"{folder}: expected a ball in at least a tenth of the frames, got none")
     for k in track(

@@ -28,7 +28,9 @@ def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, warnings_fi
     cv2.setNumThreads(1)
     clip = read(name, protocol.frames)
     seed = protocol.seed + max(name.seed, 0)
-    subjects = targets(clip.truths, protocol.kinds, players=protocol.players, seed=seed)
+    subjects = targets(
+        clip.truths, protocol.kinds, players=protocol.players, seed=seed, width_px=clip.size_px[0]
+    )
     looked: dict[Case, Windows] = {}
     budgets = list(dict.fromkeys(case.budget for case, _ in work))
     ordered = sorted(work, key=lambda each: budgets.index(each[0].budget))

@@ -12,7 +12,8 @@ from pipeline.errors import SettingsError
 
 KINDS = {"ball": "ball", "referee": "main referee", "player": "player"}
 PEOPLE = CLASS_OF_ROLE.keys() - {"ball"}
-STILL_PX = 1.5  # per frame, at 1920 pixels of width: a slower ball is still
+STILL_PX = 1.5  # per frame, at `STILL_WIDTH_PX`: a slower ball is still
+STILL_WIDTH_PX = 1920  # of the field; a wider one shows the same motion in more pixels
 AROUND = 4  # frames before and after over which a ball's state is judged
 CARRIED_FRAMES = 5  # in succession, at the same person
 WITH_PERSON = 0.1  # of a person's height a frame: what moves less against the person moves with it
@@ -37,9 +38,12 @@ class Target:
 
 
 def targets(
-    truths: Sequence[Annotations], kinds: Sequence[str], *, players: int, seed: int
+    truths: Sequence[Annotations], kinds: Sequence[str], *, players: int, seed: int, width_px: int
 ) -> list[Target]:
-    """Return ball, main referee and players of a clip; the seed draws among those long in view."""
+    """Return ball, main referee and players of a clip; the seed draws among those long in view.
+
+    `width_px` is the width of its pictures.
+    """
     found = []
     for kind in kinds:
         if kind not in KINDS:
@@ -52,7 +56,7 @@ def targets(
                 if n == KINDS[kind]
             }
         )
-        whole = [_target(kind, i, truths) for i in ids]
+        whole = [_target(kind, i, truths, width_px) for i in ids]
         whole = [t for t in whole if t.there.mean() > (0.5 if kind == "player" else 0.1)]
         if kind == "player" and len(whole) > players:
             rows = np.sort(np.random.default_rng([seed, 9]).permutation(len(whole))[:players])
@@ -67,25 +71,26 @@ def starts(target: Target, every: int) -> list[int]:
     return [k for k in frames if target.visible[k] >= LEAST_VISIBLE]
 
 
-def _target(kind: str, object_id: int, truths: Sequence[Annotations]) -> Target:
+def _target(kind: str, object_id: int, truths: Sequence[Annotations], width_px: int) -> Target:
     boxes = np.zeros((len(truths), 4), np.float32)
     visible = np.zeros(len(truths), np.float32)
     for k, truth in enumerate(truths):
         row = np.flatnonzero(truth.ids == object_id)
         if len(row) and areas(truth.boxes[row])[0] > 0:
             boxes[k], visible[k] = truth.boxes[row[0]], truth.visibility[row[0]]
-    state = ball_states(boxes, truths) if kind == "ball" else (FREE,) * len(truths)
+    state = ball_states(boxes, truths, width_px) if kind == "ball" else (FREE,) * len(truths)
     return Target(kind=kind, id=object_id, boxes=boxes, visible=visible, state=state)
 
 
-def ball_states(boxes: Boxes, truths: Sequence[Annotations]) -> tuple[str, ...]:
+def ball_states(boxes: Boxes, truths: Sequence[Annotations], width_px: int) -> tuple[str, ...]:
     """Return whether the ball is free, still or carried in each frame, according to the truth.
 
     Carried: for `CARRIED_FRAMES` frames in succession or more, its centre is in the box of the same
     person and moves with that person, whatever the policy takes for carried. Still: after
     subtracting the median motion of the people, which is the camera's, it moves by less than
-    `STILL_PX` per frame. Free otherwise.
+    `STILL_PX` per frame, in proportion to the width of the pictures. Free otherwise.
     """
+    still_px = STILL_PX * width_px / STILL_WIDTH_PX
     seen = areas(boxes) > 0
     speed = _speeds(boxes, seen, truths)
     carried = _carried(boxes, seen, truths)
@@ -93,7 +98,7 @@ def ball_states(boxes: Boxes, truths: Sequence[Annotations]) -> tuple[str, ...]:
     for k in range(len(truths)):
         around = slice(max(k - AROUND, 0), k + AROUND + 1)
         slow = speed[around][np.isfinite(speed[around])]
-        still = len(slow) and np.median(slow) < STILL_PX
+        still = len(slow) and np.median(slow) < still_px
         states.append(CARRIED if carried[k] else STILL if still else FREE)
     return tuple(states)
 

@@ -65,9 +65,9 @@ def truth(ball: tuple[float, float], *people: tuple[float, float]) -> Annotation
     )
 
 
-def states(truths: list[Annotations]) -> set[str]:
+def states(truths: list[Annotations], width_px: int = HD[0]) -> set[str]:
     boxes = np.stack([t.boxes[0] for t in truths])
-    return set(ball_states(boxes, truths))
+    return set(ball_states(boxes, truths, width_px))
 
 
 CROWD = ((100.0, 500.0), (300.0, 600.0), (500.0, 400.0), (700.0, 500.0))
@@ -82,6 +82,15 @@ def test_a_ball_is_still_free_or_carried_according_to_the_truth() -> None:
     carried = [truth((100 + 5.0 * k, 480), (100 + 5.0 * k, 500), *CROWD[1:]) for k in range(12)]
 
     assert (states(lying), states(flying), states(carried)) == ({STILL}, {FREE}, {CARRIED})
+
+
+def test_a_ball_is_as_still_in_a_wider_picture_of_the_same_field() -> None:
+    def wider(by: float, speed_px: float) -> set[str]:
+        truths = [truth((900 + speed_px * k, 300), *CROWD) for k in range(12)]
+        return states([replace(t, boxes=by * t.boxes) for t in truths], int(by * HD[0]))
+
+    assert [wider(4.0, speed_px) for speed_px in (1.0, 2.0)] == [{STILL}, {FREE}]
+    assert [wider(1.0, speed_px) for speed_px in (1.0, 2.0)] == [{STILL}, {FREE}]
 
 
 @pytest.mark.parametrize(
@@ -99,7 +108,7 @@ def test_a_carried_ball_is_in_one_persons_box_for_five_frames_and_moves_with_it(
         return truth(held if k < frames else (900 + 30.0 * k, 100), person, *CROWD[1:])
 
     truths = [at(k) for k in range(14)]
-    found = ball_states(np.stack([t.boxes[0] for t in truths]), truths)
+    found = ball_states(np.stack([t.boxes[0] for t in truths]), truths, HD[0])
 
     assert set(found[:frames]) == {state}
     assert CARRIED not in found[frames:]
@@ -121,7 +130,7 @@ def test_a_tracker_is_started_where_the_target_is_visible() -> None:
         visibility=np.full(5, 0.1, np.float32),
     )
 
-    (ball,) = targets(truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(truths, ["ball"], players=1, seed=0, width_px=HD[0])
 
     assert starts(ball, 8) == [0, 16]
 
@@ -129,11 +138,11 @@ def test_a_tracker_is_started_where_the_target_is_visible() -> None:
 def test_players_are_drawn_by_the_seed() -> None:
     truths = [truth((900, 300), *CROWD) for _ in range(4)]
 
-    drawn = [targets(truths, ["player"], players=2, seed=s) for s in range(8)]
+    drawn = [targets(truths, ["player"], players=2, seed=s, width_px=HD[0]) for s in range(8)]
 
     assert all(len(found) == 2 for found in drawn)
     assert len({tuple(t.id for t in found) for found in drawn}) > 1
-    again = targets(truths, ["player"], players=2, seed=3)
+    again = targets(truths, ["player"], players=2, seed=3, width_px=HD[0])
     assert [t.id for t in again] == [t.id for t in drawn[3]]
 
 
@@ -185,7 +194,7 @@ def loop(
 def test_an_episode_has_the_windows_of_the_running_loop(
     clip: Clip, graph: str, policy: str
 ) -> None:
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0, width_px=clip.size_px[0])
     box = [float(v) for v in ball.boxes[0]]
     aim = ("policy.target=''", f"policy.prompt_box={box}")
     sensor = ("capture.options.seed=70003", "capture.options.rate_hz=25")
@@ -211,7 +220,7 @@ def test_an_episode_has_the_windows_of_the_running_loop(
 
 
 def test_a_roi_on_the_target_is_as_good_as_full_resolution(clip: Clip, stages: Stages) -> None:
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0, width_px=clip.size_px[0])
     means = {}
     for strategy in ("full", "oracle", "spatial"):
         camera = Camera(clip, acquisition(strategy, Fraction(1, 16), clip.size_px))
@@ -223,7 +232,7 @@ def test_a_roi_on_the_target_is_as_good_as_full_resolution(clip: Clip, stages: S
 
 
 def test_a_perfect_tracker_has_the_true_box_while_the_roi_shows_the_target(clip: Clip) -> None:
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0, width_px=clip.size_px[0])
     camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
     known = Replaced(parts=frozenset({"tracker"}), truths=clip.truths)
 
@@ -236,9 +245,8 @@ def test_a_perfect_tracker_has_the_true_box_while_the_roi_shows_the_target(clip:
 def test_a_tracker_that_sees_the_roi_alone_holds_its_box_while_the_target_is_outside(
     clip: Clip,
 ) -> None:
-    players = [
-        t for t in targets(clip.truths, ["player"], players=99, seed=0) if t.visible.min() > 0.9
-    ]
+    found = targets(clip.truths, ["player"], players=99, seed=0, width_px=clip.size_px[0])
+    players = [t for t in found if t.visible.min() > 0.9]
     aside = max(players, key=lambda t: abs(float(centres(t.boxes[0])[0]) - HD[0] / 2))
     camera = Camera(clip, acquisition("centred", Fraction(1, 16), clip.size_px))
 
@@ -266,7 +274,7 @@ def test_a_window_of_more_pixels_than_the_budget_has_is_refused(clip: Clip) -> N
 def test_the_pixels_that_the_sensor_reads_in_an_episode_are_counted(
     clip: Clip, stages: Stages, strategy: str
 ) -> None:
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0, width_px=clip.size_px[0])
     how = acquisition(strategy, Fraction(1, 8), clip.size_px)
     camera = Camera(clip, how)
 
@@ -280,7 +288,7 @@ def test_the_pixels_that_the_sensor_reads_in_an_episode_are_counted(
 
 
 def test_an_episode_that_reads_more_than_its_budget_is_refused(clip: Clip, stages: Stages) -> None:
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0, width_px=clip.size_px[0])
     quarter = acquisition("oracle", Fraction(1, 4), clip.size_px)
     camera = Camera(clip, replace(quarter, budget=Fraction(1, 8)))
 
@@ -289,7 +297,7 @@ def test_an_episode_that_reads_more_than_its_budget_is_refused(clip: Clip, stage
 
 
 def test_an_episode_can_use_the_windows_of_an_earlier_one(clip: Clip, stages: Stages) -> None:
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0, width_px=clip.size_px[0])
     camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
     first = run(loop(camera, stages), ball, 2)
     again = run(loop(camera, stages), ball, 2, first.windows)

@@ -43,7 +43,7 @@ def stock(clip: Clip) -> Iterator[Stock]:
 @pytest.fixture(scope="module")
 def player(clip: Clip, stock: Stock) -> Target:
     """Return a player whom the shipped detector finds, so that the cue has something to show."""
-    for found in targets(clip.truths, ["player"], players=99, seed=0):
+    for found in targets(clip.truths, ["player"], players=99, seed=0, width_px=clip.size_px[0]):
         cue = stock.cue(row("spatial"), found, START) if found.boxes[START].any() else None
         if cue and min(plan.choice[0] for plan in cue.plans[:9]) >= 0:
             return found

@@ -61,7 +61,7 @@ class Initialised:
 def test_no_frame_up_to_that_of_the_true_box_is_scored(
     clip: Clip, stages: Stages, strategy: str, budget: str
 ) -> None:
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0, width_px=clip.size_px[0])
     camera = Camera(clip, acquisition(strategy, Fraction(budget), clip.size_px))
     tracks = watched(camera, stages, 14, Replaced())
     noted = Initialised(stages)
@@ -81,7 +81,7 @@ def test_no_frame_up_to_that_of_the_true_box_is_scored(
 def test_an_exposure_over_several_frames_is_scored_from_the_next_one_on(
     clip: Clip, stages: Stages
 ) -> None:
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0, width_px=clip.size_px[0])
     camera = Camera(clip, acquisition("exposure", Fraction(1, 4), clip.size_px))
 
     outcome = run(Loop(camera=camera, stages=stages, rules=Rules()), ball, 2)

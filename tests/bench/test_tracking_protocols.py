@@ -69,7 +69,7 @@ class Heard:
 def followed(
     clip: Clip, stages: Stages, strategy: str, rules: Rules, start: int = 0
 ) -> tuple[Outcome, Heard]:
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0, width_px=clip.size_px[0])
     heard = Heard(stages)
     camera = Camera(clip, acquisition(strategy, Fraction("1/4"), clip.size_px))
     loop = Loop(camera=camera, stages=cast(Stages, heard), rules=rules)
@@ -82,7 +82,7 @@ def test_a_cue_brings_a_tracker_to_what_the_policy_shows(clip: Clip, stages: Sta
     camera = Camera(clip, acquisition("full", Fraction(1), clip.size_px))
     stages.begin(camera.header(0), "tracker")
     stages.restore("tracker", state)
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0, width_px=clip.size_px[0])
     answers = []
 
     for frame in range(3):
@@ -138,7 +138,7 @@ def test_in_coordinates_of_the_roi_the_box_moves_with_the_window(
     clip: Clip, stages: Stages
 ) -> None:
     outcome, heard = followed(clip, stages, "oracle", Rules(context=False, local=True))
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0, width_px=clip.size_px[0])
     left, top, *_ = outcome.windows[0]
 
     given_box = heard.settings["init_box"]
