@@ -4,8 +4,10 @@ With a cue the tracker is the one that ships: it gets a scanpath in every frame,
 that it does not find or that the scanpath has elsewhere, and starts again on the scanpath's object.
 The scanpath is the same for every strategy (`cue`). Two rules of the tracker are off in all rows,
 which hold for a ROI that was aimed by the policy that it hears: `hidden_after`, by which it drops
-what the ROI does not show, and `place_after`, by which it drops what the policy has lost. Without a
-cue it gets no scanpath and never drops its object.
+what the ROI does not show, and `place_after`, by which it drops what the policy has lost. A third
+one stays on: with a ROI the tracker starts again only where the ROI shows the object, without one
+anywhere, so that `context` may start again where `centred` may not. Without a cue it gets no
+scanpath and never drops its object.
 """
 
 from typing import TYPE_CHECKING

@@ -11,11 +11,12 @@ the target's box as prompt; `centred` stays in the middle.
 By default the tracker hears no policy and never gives up, as in the paper. With `--cue reference`
 it is the one that ships: it hears a scanpath, gives up what it does not find and starts again on
 what the scanpath shows. That is the same for all strategies of a budget: the pursuit rule's, from
-the context that a foveated row has. The tracker sees the context where the ROI shows nothing, as in
-the shipped loop; with `--sees each` a second row is of a tracker that sees the ROI alone, and with
-`--sees all` a third one of a tracker whose state is in coordinates of the ROI and moves with it,
-which is how the paper's figures read (its oracle beats full resolution, and a window in the middle
-is worth 1.7 % of it).
+the context that a foveated row has. One inequality remains: a tracker with a ROI starts again only
+where the ROI shows the object, one without anywhere. The tracker sees the context where the ROI
+shows nothing, as in the shipped loop; with `--sees each` a second row is of a tracker that sees the
+ROI alone, and with `--sees all` a third one of a tracker whose state is in coordinates of the ROI
+and moves with it, which is how the paper's figures read (its oracle beats full resolution, and a
+window in the middle is worth 1.7 % of it).
 """
 
 import json
