@@ -41,15 +41,8 @@ class Child:
 
         `quiet`: discard what it prints.
         """
-        command = [
-            sys.executable,
-            *interpreter_options(),
-            "-m",
-            "drivers.attached.child",
-            path,
-            f"{limit_s:g}",
-            *words,
-        ]
+        child = [sys.executable, *interpreter_options(), "-m", "drivers.attached.child"]
+        command = [*child, path, f"{limit_s:g}", *words]
         self._limit_s, self._in_all = limit_s, in_all
         self._begun_s = time.monotonic()
         self._process = subprocess.Popen(

@@ -1,6 +1,7 @@
 """State that a swap cannot transfer is reported or refused, and the old instance continues."""
 
 import logging
+import re
 from pathlib import Path
 
 import pytest
@@ -84,8 +85,8 @@ def test_a_part_that_has_to_be_stopped_and_started_begins_anew_with_a_reason(
 
 
 KEPT_BACK = {
-    "Unnamed": "the state cannot be carried over: its state() names no dataclass",
-    "Refusing": "its restore() failed: ValueError:",
+    "Unnamed": r"the state cannot be carried over: its state\(\) names no dataclass",
+    "Refusing": r"its restore\(\) failed: .*stateful_samples\.py:\d+: ValueError:",
     "Mistaken": "its state cannot be written: Counted.count: expected int, got a str",
     "Loose": "its state cannot be written: dict: expected a dataclass",
 }
@@ -103,7 +104,7 @@ def test_a_state_that_cannot_be_carried_over_leaves_the_old_part_at_work(tmp_pat
     report = go(plan, 0, swapping(results, *orders))
 
     for (cls, said), reason in zip(KEPT_BACK.items(), reasons(results), strict=True):
-        assert reason.startswith(f"{cls.lower()}: {said}")
+        assert re.match(f"{cls.lower()}: {said}", reason)
         assert "\n" not in reason
     assert_accounts_add_up(report)
     assert all(edge["dropped"] == {} for edge in report["edges"])
