@@ -160,7 +160,9 @@ def test_another_desk_attaches_and_reads_sets_and_listens_through_the_router(sit
     site.environment = before | {"HOME": str(site.folder / "home")}
     try:
         # this desk has not heard of the graph yet
-        assert "no log of a node work" in site.fovea("logs", site.name, "work", fails=True)
+        assert f"no graph {site.name} runs or has run here" in site.fovea(
+            "logs", site.name, "work", fails=True
+        )
         known = site.fovea("attach", site.name, "--credentials", "credentials/user.me")
         assert "runs on brain, eye" in known
         assert "work.hold = 3" in site.fovea("set", site.name, "work", "hold=3")
