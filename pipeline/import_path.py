@@ -6,7 +6,6 @@ the cause, and its output goes to standard error.
 
 import contextlib
 import importlib
-import os
 import re
 import sys
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 from pipeline.cause import cause_of, is_signal
 from pipeline.errors import FoveaError
 from pipeline.extras import remedy
-from pipeline.user_modules import advice
+from pipeline.user_modules import advice, current_folder
 from pipeline.wording import shown
 
 PATTERN = r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*"
@@ -67,4 +66,4 @@ def _missing(error: ModuleNotFoundError, module: str) -> str:
     if found := remedy(error):
         return found
     missing = error.name == module.partition(".")[0]
-    return f"{cause_of(error)}, neither in {os.getcwd()} nor installed" if missing else ""
+    return f"{cause_of(error)}, neither in {current_folder()} nor installed" if missing else ""

@@ -15,7 +15,15 @@ PACKAGES = ("drivers", "operators", "bench")  # of fovea, beside this one
 
 def interpreter_options() -> list[str]:
     """Return options for an interpreter that finds fovea before what lies in the current folder."""
-    return [] if Path.cwd() == ROOT else ["-P"]
+    return [] if current_folder() == str(ROOT) else ["-P"]
+
+
+def current_folder() -> str:
+    """Return the current folder; a word in place of one that was removed meanwhile."""
+    try:
+        return os.getcwd()
+    except OSError:
+        return "a folder that was removed"
 
 
 def look_in(folder: str = "") -> None:
@@ -38,7 +46,7 @@ def advice(module: str) -> str:
     top = module.partition(".")[0]
     here, inside = Path(f"{top}.py"), Path(top, f"{top}.py")
     loaded = getattr(sys.modules.get(top), "__file__", None)
-    if here.is_file() and loaded and not here.samefile(loaded):
+    if here.is_file() and loaded and here.resolve() != Path(loaded).resolve():
         return f"; {here} has the name of another module: rename it"
     if inside.is_file() and not loaded:
         return f"; {inside} is found from the folder {top}: start fovea there"

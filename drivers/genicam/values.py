@@ -12,9 +12,7 @@ from drivers.genicam.nodes import Node, NodeMap, whole
 
 REGISTERS = ("IntReg", "MaskedIntReg", "FloatReg", "StructEntry")
 FORMULAS = ("SwissKnife", "IntSwissKnife")
-DEEPEST = (
-    32  # nodes and expressions that take their value from one another; further ones are not known
-)
+DEEPEST = 32  # nodes and expressions that need one another; what lies deeper is not known
 
 
 def unknown(_register: str) -> None:

@@ -6,6 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from pipeline import RunError
+from pipeline.import_path import imported
+from pipeline.user_modules import interpreter_options
+
 GRAPH = """\
 nodes:
   ticker: {operator: tests.samples:Ticker, settings: {rate_hz: 50}}
@@ -46,6 +50,19 @@ def test_files_of_the_user_hide_no_module_of_python_or_fovea(
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "another module" not in ended.stdout + ended.stderr
     assert "losses: none" in ended.stdout
+
+
+def test_a_folder_that_is_removed_meanwhile_hides_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+
+    assert interpreter_options() == ["-P"]
+    with pytest.raises(RunError, match="neither in a folder that was removed nor installed"):
+        imported("nowhere:Mine", RunError)
 
 
 @pytest.mark.parametrize(
