@@ -43,7 +43,8 @@ from bench.tracking.clip import ClipName, frames_of, is_development, names, size
 from bench.tracking.conclusions import sentences
 from bench.tracking.episode import Rules
 from bench.tracking.intervals import METHOD
-from bench.tracking.many import LOOKS, many, wanted_of
+from bench.tracking.many import LOOKS, wanted_of
+from bench.tracking.many_clips import scored_clips
 from bench.tracking.many_tables import (
     markdown_of_many,
     means_of_many,
@@ -168,7 +169,7 @@ def score_many(options: Options) -> None:
     wanted, protocol = wanted_of(options), protocol_of(options)
     _refuse_unmet(product(wanted, options.budgets), clips)
     options.make_room()
-    rows_of_clips = many(options, clips, protocol)
+    rows_of_clips = scored_clips(options, clips, protocol)
     found = {
         **facts(),
         "bench": "many",

@@ -34,7 +34,7 @@ def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, warnings_fi
     looked: dict[Case, Windows] = {}
     budgets = list(dict.fromkeys(case.budget for case, _ in work))
     ordered = sorted(work, key=lambda each: budgets.index(each[0].budget))
-    with _warnings_into(warnings_file, str(name)), Stock(clip, Path(protocol.graph)) as stock:
+    with warnings_into(warnings_file, str(name)), Stock(clip, Path(protocol.graph)) as stock:
         for case, path in ordered:
             loop = stock.loop(case)
             windows = looked.setdefault(same_windows(case), {})
@@ -93,7 +93,7 @@ def told(outcome: Outcome, target: Target) -> Episode:
 
 
 @contextmanager
-def _warnings_into(path: Path, name: str) -> Iterator[None]:
+def warnings_into(path: Path, name: str) -> Iterator[None]:
     """Write the stages' warnings into a file, because they would break the bar on the terminal."""
     handler = logging.FileHandler(path, delay=True)
     handler.setFormatter(logging.Formatter(f"{name}: %(message)s"))

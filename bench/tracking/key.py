@@ -1,7 +1,7 @@
 """Key of a unit of work: everything that determines its figures, by content."""
 
 import json
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
@@ -69,3 +69,12 @@ def clip_key(name: ClipName, frames: tuple[int, int]) -> str:
     except OSError as error:
         raise DriverError(f"{error.filename}: cannot be read: {error.strerror}") from error
     return sha256(whole.encode()).hexdigest()
+
+
+def unit_files(
+    folder: Path, name: ClipName, frames: tuple[int, int], keys: Sequence[str]
+) -> list[Path]:
+    """Return the file of each key's unit of a clip; raises as `clip_key`."""
+    content = clip_key(name, frames)
+    digests = [sha256(f"{key} {content}".encode()).hexdigest() for key in keys]
+    return [folder / f"{name}-{digest[:16]}.json" for digest in digests]

@@ -10,9 +10,8 @@ everybody at full resolution in every frame, `recognised` also tells without err
 `truth` names every track rightly.
 """
 
-import logging
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -53,9 +52,9 @@ STRATEGIES = (*PICTURES, *LOOKS)
 IDENTITY = "identity"  # node of a graph
 GROUPS: Mapping[str, tuple[str, ...]] = {"people": ("player", "referee"), "ball": ("ball",)}
 SAME_IOU = 0.5  # from which an unseen person and a track are one
-log = logging.getLogger(__name__)
 metrics = LateModule("trackeval.metrics")
 Row = dict[str, Any]
+Looks = Mapping[tuple[str, str], Stages]  # by name and policy of a strategy
 
 
 def wanted_of(options: Options) -> list[str]:
@@ -69,35 +68,42 @@ def wanted_of(options: Options) -> list[str]:
     return wanted
 
 
-def many(options: Options, clips: Sequence[ClipName], protocol: Protocol) -> list[Row]:
-    """Return a row for each clip, group, strategy and budget; raises `SettingsError`."""
-    wanted = wanted_of(options)
-    graph = Path(protocol.graph)
+def many(name: ClipName, options: Options, protocol: Protocol) -> list[Row]:
+    """Return a row for each group, strategy and budget of a clip."""
     found = []
-    with ExitStack() as opened:
-        sight = opened.enter_context(Stages(graph, options.changes, needed=PERCEPTION))
+    with opened(options, protocol) as (sight, looks):
+        clip = read(name, protocol.frames)
+        played = (
+            *_pictures(clip, sight, wanted_of(options), options),
+            *_looks(clip, sight, looks, options),
+        )
+        for row, tracks in played:
+            found += [
+                {"clip": str(name), "target": group} | row | scored(clip, tracks, group)
+                for group in GROUPS
+            ]
+        clip.close()
+    return found
+
+
+@contextmanager
+def opened(options: Options, protocol: Protocol) -> Iterator[tuple[Stages, Looks]]:
+    """Open the graph's perception, and the stages of each strategy with a ROI.
+
+    Raises `SettingsError` for plans that come too late to be followed.
+    """
+    graph, wanted = Path(protocol.graph), wanted_of(options)
+    with ExitStack() as stack:
+        sight = stack.enter_context(Stages(graph, options.changes, needed=PERCEPTION))
         looks = {
-            (name, policy): opened.enter_context(
+            (name, policy): stack.enter_context(
                 Stages(graph, options.changes, policy=policy, needed=ROI_STAGES)
             )
             for name, policy in policies(wanted, options)
         }
         for stages in looks.values():
             refuse_too_late(max(options.delay), stages.settings("policy").horizon)
-        for name in clips:
-            clip = read(name, protocol.frames)
-            played = (
-                *_pictures(clip, sight, wanted, options),
-                *_looks(clip, sight, looks, options),
-            )
-            for row, tracks in played:
-                log.info("%s: %s at %s is tracked", name, row["strategy"], row["budget"])
-                found += [
-                    {"clip": str(name), "target": group} | row | scored(clip, tracks, group)
-                    for group in GROUPS
-                ]
-            clip.close()
-    return found
+        yield sight, looks
 
 
 def policies(wanted: Sequence[str], options: Options) -> Iterator[tuple[str, str]]:
@@ -125,7 +131,7 @@ def _pictures(clip: Clip, sight: Stages, wanted: Sequence[str], options: Options
 def _looks(
     clip: Clip,
     sight: Stages,
-    looks: Mapping[tuple[str, str], Stages],
+    looks: Looks,
     options: Options,
 ) -> Found:
     """Yield the tracks of strategies with a ROI, named by what it showed."""

@@ -28,7 +28,7 @@ UNUSED_BY_MANY: Mapping[str, Any] = {  # with their defaults
     "targets": tuple(KINDS), "players": 1, "every": 8, "longest": Rules.longest,
     "tracker": "", "sees": "both", "cue": "none", "protocol": "short", "states": False,
     "replan": (1,), "prediction": "kalman", "replace": (),
-    "jobs": 2, "seed": 0, "plot": None, "work": None,
+    "seed": 0, "plot": None,
 }  # fmt: skip
 T = TypeVar("T")
 

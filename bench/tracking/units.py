@@ -1,31 +1,17 @@
 """Units of work of an evaluation (cases x clips), each written when it is done."""
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, wait
-from hashlib import sha256
+from functools import partial
 from pathlib import Path
-
-import click
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from bench.tracking.budgets import PLANNED
 from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import ClipName
 from bench.tracking.job import Work, follow, same_windows
-from bench.tracking.key import clip_key, key
+from bench.tracking.key import key, unit_files
+from bench.tracking.pooled import write_units
 from bench.tracking.store import Unit, forget_damaged, units
-from operators.training.workers import pool_of
 
-LOOK_S = 1.0  # between counts of finished units
-WARNINGS = "warnings.log"  # of the stages, beside the units
 # measured; 1 is a row whose windows are known or need no network
 COST = {"temporal": 0.2, "exposure": 2.0, **dict.fromkeys(PLANNED, 2.0)}
 
@@ -41,29 +27,15 @@ def measured(
     """Return all units: the finished ones from the folder, the others after measuring them."""
     folder.mkdir(parents=True, exist_ok=True)
     keys = [key(case, protocol) for case in cases]
-    places = {clip: _places(folder, clip, protocol, keys) for clip in clips}
-    paths = [path for found in places.values() for path in found]
+    files = {clip: unit_files(folder, clip, protocol.frames, keys) for clip in clips}
+    paths = [path for found in files.values() for path in found]
     forget_damaged(paths)
     left = {
         clip: [work for work in zip(cases, found, strict=True) if not work[1].exists()]
-        for clip, found in places.items()
+        for clip, found in files.items()
     }
-    warnings_file = folder / WARNINGS
-    before = _lines(warnings_file)
-    finished = sum(path.exists() for path in paths)
-    with pool_of(jobs) as pool, _progress() as bar:
-        task = bar.add_task("units", total=len(paths), completed=finished)
-        waiting = {
-            pool.submit(follow, clip, work, protocol, warnings_file)
-            for clip, work in cut(left, jobs)
-        }
-        while waiting:
-            done, waiting = wait(waiting, timeout=LOOK_S, return_when=FIRST_EXCEPTION)
-            for job in done:
-                job.result()
-            bar.update(task, completed=sum(path.exists() for path in paths))
-    if more := _lines(warnings_file) - before:
-        click.echo(f"{more} warnings: {warnings_file}", err=True)
+    jobs_left = [partial(follow, clip, work, protocol) for clip, work in cut(left, jobs)]
+    write_units(jobs_left, paths, folder, jobs=jobs)
     return [unit for path in paths for unit in units(path)]
 
 
@@ -97,20 +69,3 @@ def _parts(work: Sequence[Work], count: int) -> list[tuple[Work, ...]]:
         parts[int((before + cost / 2) / sum(costs) * count)] += same
         before += cost
     return [tuple(part) for part in parts if part]
-
-
-def _progress() -> Progress:
-    name = TextColumn("{task.description}")
-    columns = (name, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(stderr=True))
-
-
-def _places(folder: Path, clip: ClipName, protocol: Protocol, keys: Sequence[str]) -> list[Path]:
-    """Return the files of a clip's units."""
-    content = clip_key(clip, protocol.frames)
-    digests = [sha256(f"{key} {content}".encode()).hexdigest() for key in keys]
-    return [folder / f"{clip}-{digest[:16]}.json" for digest in digests]
-
-
-def _lines(path: Path) -> int:
-    return path.read_text().count("\n") if path.exists() else 0
