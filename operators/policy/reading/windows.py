@@ -23,19 +23,28 @@ def around(boxes: Array, worth: Array, geometry: Geometry) -> tuple[Array, NDArr
     middle, own = centres(boxes), np.arange(count)
     roi: Array = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
     field: Array = np.array([geometry.width_px, geometry.height_px], np.float32)
-    places: Array = ((middle[:, None] + middle[None]) / np.float32(2)).reshape(-1, 2)
-    if field.all():  # a window is inside the field
-        places = np.clip(places, roi / 2, field - roi / 2)
-    windows = from_centres(places, np.broadcast_to(roi, places.shape))
     margin: Array = np.array([-MARGIN_PX, -MARGIN_PX, MARGIN_PX, MARGIN_PX], np.float32)
     grown: Array = boxes + margin
-    if field.all():
+    first, second = np.nonzero(own[:, None] <= own)
+    places: Array = (middle[first] + middle[second]) / np.float32(2)
+    if field.all():  # a window is inside the field
+        places = np.clip(places, roi / 2, field - roi / 2)
         grown = np.clip(grown, 0, np.tile(field, 2))
+    # a window without the middle of a text does not show it
+    away = [np.abs(centres(grown)[text] - places) for text in (first, second)]
+    kept = (np.minimum(*(np.max(each / roi, axis=1) for each in away)) <= 0.5) | (first == second)
+    first, second, places = first[kept], second[kept], places[kept]
+    windows = from_centres(places, np.broadcast_to(roi, places.shape))
     whole = np.maximum(areas(grown), 1e-9)
-    shows = (intersections(windows, grown) >= WHOLE * whole).reshape(count, count, count)
-    gain = shows @ worth.astype(np.float32) + NEARER * np.eye(count, dtype=np.float32)
-    gain[~shows[own, :, own]] = -1  # the text itself is not in it
+    shows = intersections(windows, grown) >= WHOLE * whole
+    shown = shows @ worth.astype(np.float32)
+    shown[first == second] += np.float32(NEARER)
+    gain: Array = np.full((count, count), -1, np.float32)  # of what does not show the text itself
+    window: NDArray[np.intp] = np.zeros((count, count), np.intp)
+    for text, other in ((first, second), (second, first)):
+        gain[text, other] = np.where(shows[np.arange(len(text)), text], shown, -1)
+        window[text, other] = np.arange(len(text))
     best = gain.argmax(1)
     best = np.where(gain[own, best] < 0, own, best)  # larger than a window
-    places = places.reshape(count, count, 2)[own, best]
-    return places, np.asarray(shows[own, best])
+    chosen = window[own, best]
+    return places[chosen], np.asarray(shows[chosen])
