@@ -26,6 +26,7 @@ QPOS, QVEL, ACTION = "observations/qpos", "observations/qvel", "action"
 IMAGES = "observations/images"
 MOST_FRAMES, MOST_COLUMNS = 100_000, 256
 MOST_CHUNK_BYTES = 1 << 28  # what is unpacked to read any part of it
+OTHERS = "those of other files"
 MOST_REASON = 200  # characters of what the library says
 
 
@@ -123,19 +124,34 @@ class AlohaEpisode:
             )
         return found
 
+    def _refuse_links(self, name: str) -> None:
+        """Raise `DriverError` for what leads to another file, before anything of that is opened."""
+        steps = name.split("/")
+        for upper in ("/".join(steps[: k + 1]) for k in range(len(steps))):
+            try:
+                link = self._file.get(upper, getlink=True)
+            except Exception as error:  # as above
+                raise DriverError(f"{self._path}: expected {name}, got none") from error
+            if link is not None and type(link).__name__ != "HardLink":
+                raise DriverError(f"{self._path}: {upper}: expected data in the file, got a link")
+
     def _cameras(self) -> list[str]:
+        self._refuse_links(IMAGES)
         try:
             return [str(name) for name in self._file[IMAGES]]
         except Exception as error:  # as above
             raise DriverError(f"{self._path}: expected {IMAGES}, got none") from error
 
     def _dataset(self, name: str) -> Any:
+        self._refuse_links(name)
         try:
             found = self._file[name]
         except Exception as error:  # as above
             raise DriverError(f"{self._path}: expected {name}, got none") from error
         if not isinstance(getattr(found, "shape", None), tuple):  # some data sets are empty
             raise DriverError(f"{self._path}: {name}: expected numbers, got none")
+        if found.external or found.is_virtual:
+            raise DriverError(f"{self._path}: {name}: expected numbers in the file, got {OTHERS}")
         if found.chunks and math.prod(found.chunks) * found.dtype.itemsize > MOST_CHUNK_BYTES:
             raise DriverError(
                 f"{self._path}: {name}: expected chunks of at most {MOST_CHUNK_BYTES} bytes, got "

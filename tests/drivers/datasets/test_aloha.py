@@ -68,6 +68,52 @@ def test_bytes_that_were_changed_are_read_or_refused_in_a_sentence(tmp_path: Pat
             read.close()
 
 
+def with_link(path: Path, name: str, link: Any) -> None:
+    with h5py.File(path, "a") as file:
+        del file[name]
+        file[name] = link
+
+
+@pytest.mark.parametrize("name", ["action", "observations", "observations/images/top"])
+@pytest.mark.parametrize("kind", ["external", "soft"])
+def test_an_episode_that_leads_elsewhere_is_refused(tmp_path: Path, name: str, kind: str) -> None:
+    path = episode(tmp_path)
+    (tmp_path / "other").mkdir()
+    other = episode(tmp_path / "other")
+    link = h5py.ExternalLink(str(other), name) if kind == "external" else h5py.SoftLink("/action")
+    with_link(path, name, link)
+
+    with pytest.raises(DriverError, match=f"{name}: expected data in the file, got a link"):
+        AlohaEpisode(path=str(path))
+
+
+def test_numbers_in_other_files_are_refused(tmp_path: Path) -> None:
+    path, raw = episode(tmp_path), tmp_path / "raw"
+    raw.write_bytes(bytes(FRAMES * 14 * 4))
+    with h5py.File(path, "a") as file:
+        del file["action"]
+        file.create_dataset(
+            "action", shape=(FRAMES, 14), dtype="f4", external=[(str(raw), 0, FRAMES * 14 * 4)]
+        )
+
+    with pytest.raises(DriverError, match="action: expected numbers in the file"):
+        AlohaEpisode(path=str(path))
+
+
+def test_virtual_numbers_are_refused(tmp_path: Path) -> None:
+    path = episode(tmp_path)
+    (tmp_path / "other").mkdir()
+    other = episode(tmp_path / "other")
+    layout = h5py.VirtualLayout((FRAMES, 14), "f4")
+    layout[:] = h5py.VirtualSource(str(other), "action", (FRAMES, 14))
+    with h5py.File(path, "a") as file:
+        del file["action"]
+        file.create_virtual_dataset("action", layout)
+
+    with pytest.raises(DriverError, match="action: expected numbers in the file"):
+        AlohaEpisode(path=str(path))
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
