@@ -176,6 +176,7 @@ def merged(people: People, rows: Numbers) -> People:
 def looked(people: People, tracks: NDArray[np.int32], features: Floats, most: int) -> People:
     """Add a look at each of these tracks (m,), features (m, d); none where two overlap.
 
+    Features that are no finite numbers are no look: in a mean they would stay for ever.
     Of what is known, a mean over about `most` looks is kept. Where d changes, the appearance of
     everybody is forgotten.
     """
@@ -184,7 +185,7 @@ def looked(people: People, tracks: NDArray[np.int32], features: Floats, most: in
         none = np.zeros(len(people.ids), np.float32)
         people = replace(people, known=blank, known_looks=none, fresh=blank, fresh_looks=none)
     rows = people.rows_of(tracks)
-    own = np.flatnonzero(rows >= 0)
+    own = np.flatnonzero((rows >= 0) & np.isfinite(features).all(axis=1))
     own = own[~people.mixed[rows[own]]]
     at, looks = rows[own], units(features[own])
     known, known_looks = people.known.copy(), people.known_looks.copy()

@@ -222,6 +222,17 @@ def test_an_encoder_of_another_width_begins_with_new_appearances() -> None:
     assert match.play(10, (1, 100, 100), t1=np.ones(5, np.float32)) == before
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_features_that_are_no_numbers_are_no_look(wrong: float) -> None:
+    match = Match()
+    first = match.play(5, (1, 100, 100), t1=RED)
+
+    match.play(1, (1, 100, 100), t1=np.full(3, wrong, np.float32))
+    match.play(5, (1, 100, 100), unseen=(1,))
+
+    assert match.play(5, (1, 100, 100), t1=RED) == first
+
+
 def test_the_answer_is_ordered_by_identity() -> None:
     match = Match()
     match.play(3, (5, 100, 100), (2, 300, 100))
