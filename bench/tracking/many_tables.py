@@ -19,7 +19,10 @@ Key = tuple[str, str, str]  # target, budget, strategy
 
 
 def means_of_many(rows: Sequence[Row]) -> list[Row]:
-    """Return a row for each target, budget and strategy: means over clips, 95 % intervals."""
+    """Return a row for each target, budget and strategy: means over clips, 95 % intervals.
+
+    A clip that never shows the target has no figure of it, and is left out.
+    """
     found = []
     for (target, budget, strategy), own in _by_strategy(rows).items():
         told: Row = {"target": target, "strategy": strategy, "budget": budget, "clips": len(own)}
@@ -54,6 +57,8 @@ def paired_of_many(rows: Sequence[Row]) -> list[Row]:
 def _by_strategy(rows: Sequence[Row]) -> Mapping[Key, list[Row]]:
     found: dict[Key, list[Row]] = {}
     for row in rows:
+        if not row["boxes"]:  # TrackEval calls it 0 whatever the tracks are
+            continue
         found.setdefault((row["target"], row["budget"], row["strategy"]), []).append(row)
     return found
 

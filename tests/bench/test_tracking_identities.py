@@ -103,8 +103,8 @@ def test_a_graph_without_identity_has_its_defaults(played: Played) -> None:
     assert identity_of(played.stages) == IdentitySettings()
 
 
-def row(strategy: str, clip: str, hota: float) -> dict[str, object]:
-    figures = {"HOTA": hota, "DetA": 0.5, "AssA": hota, "IDF1": hota}
+def row(strategy: str, clip: str, hota: float, *, boxes: int = 9) -> dict[str, object]:
+    figures = {"HOTA": hota, "DetA": 0.5, "AssA": hota, "IDF1": hota, "boxes": boxes}
     told = {"target": "people", "budget": "1/8", "strategy": strategy, "clip": clip}
     return {**told, **figures}
 
@@ -117,6 +117,17 @@ def test_means_have_intervals_from_six_clips_on() -> None:
     assert "HOTA_ci95" not in few
     assert enough["HOTA_ci95"][0] < enough["HOTA"] == 0.525 < enough["HOTA_ci95"][1]
     assert enough["clips"] == 6
+
+
+def test_a_clip_that_never_shows_the_target_is_in_no_mean() -> None:
+    rows = [row(name, str(k), 0.6) for name in ("context", "greedy") for k in range(6)]
+    rows += [row(name, "without", 0.0, boxes=0) for name in ("context", "greedy")]
+
+    means = means_of_many(rows)
+
+    assert [(each["HOTA"], each["clips"]) for each in means] == [(0.6, 6), (0.6, 6)]
+    assert paired_of_many(rows)[0]["HOTA"] == [0, 0, 0]
+    assert means_of_many(rows[-2:]) == []
 
 
 def test_strategies_are_compared_clip_by_clip() -> None:
