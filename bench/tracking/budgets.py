@@ -20,6 +20,7 @@ PURSUIT = "pursuit"  # foveated by the rule of that name, as a row of its own
 PLANNED = ("foveated", "round_robin")  # by the graph's own networks; the others need none of them
 TOLERANCE = 0.01  # of the budget: the sensor's own count must be this near
 LEAST = Fraction(1, 256)  # below it the context shows nothing that a detector could find
+FINEST = 1_000_000  # denominator of the context's share, whose side is a rounded root
 SHARES: Mapping[Fraction, tuple[float, float]] = {  # budget -> context's side, ROI's area
     Fraction(1, 4): (0.25, 3 / 16),
     Fraction(1, 8): (0.25, 1 / 16),
@@ -56,10 +57,21 @@ def acquisition(strategy: str, budget: Fraction, size_px: tuple[int, int]) -> Ac
         budget = Fraction(1)
     if budget < LEAST:
         raise SettingsError(f"budgets: expected at least {LEAST} of the pixels, got {budget}")
-    context, roi = SHARES.get(budget, (math.sqrt(budget / 2), float(budget / 2)))
     if strategy == CONTEXT:
-        share = Fraction(context**2).limit_denominator(LEAST.denominator)
-        return replace(acquisition("spatial", share, size_px), strategy=CONTEXT)
+        context, _ = divided(budget)
+        share = Fraction(context**2).limit_denominator(FINEST)
+        return replace(_spent("spatial", share, size_px), strategy=CONTEXT)
+    return _spent(strategy, budget, size_px)
+
+
+def divided(budget: Fraction) -> tuple[float, float]:
+    """Return the side of the context and the area of the ROI, shares of the field."""
+    return SHARES.get(budget, (math.sqrt(budget / 2), float(budget / 2)))
+
+
+def _spent(strategy: str, budget: Fraction, size_px: tuple[int, int]) -> Acquisition:
+    """Return what is read, as `acquisition`, also of a context that is smaller than `LEAST`."""
+    context, roi = divided(budget)
     settings = SimulatedSensorSettings(
         scene="soccer",
         strategy=strategy,  # type: ignore[arg-type]

@@ -44,6 +44,15 @@ def test_every_strategy_spends_its_budget_within_one_percent(strategy: str, budg
     assert spent == pytest.approx(float(Fraction(budget)), rel=0.01)
 
 
+@pytest.mark.parametrize("budget", ["1/4", "1/8", "1/16", "1/32", "1/100", "1/200", "1/256"])
+def test_the_context_alone_is_what_a_foveated_row_has_beside_its_roi(budget: str) -> None:
+    alone, foveated = (
+        acquisition(strategy, Fraction(budget), HD) for strategy in ("context", "foveated")
+    )
+
+    assert alone.sampling.context_px == foveated.sampling.context_px
+
+
 @pytest.mark.parametrize("text", ["1/1000", "0", "2", "a", "1/0"])
 def test_a_budget_that_cannot_be_met_is_refused(text: str) -> None:
     def spent() -> None:
