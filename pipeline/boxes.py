@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from pipeline.messages import Frame, Geometry, Tracks
 
 Array = NDArray[np.float32]
+MOST_PAIRS = 2**17  # compared at once, so that temporary arrays stay in the cache
 
 
 def areas(boxes: Array) -> Array:
@@ -29,6 +30,15 @@ def intersections(a: Array, b: Array) -> Array:
     wide = np.minimum(a[:, None, 2], b[:, 2]) - np.maximum(a[:, None, 0], b[:, 0])
     high = np.minimum(a[:, None, 3], b[:, 3]) - np.maximum(a[:, None, 1], b[:, 1])
     return np.asarray(np.maximum(wide, 0) * np.maximum(high, 0), np.float32)
+
+
+def in_parts(boxes: Array, others: int) -> list[Array]:
+    """Return boxes (n, 4) in parts that may be compared with so many others at once.
+
+    >>> [len(part) for part in in_parts(np.zeros((900, 4), np.float32), 300)]
+    [300, 300, 300]
+    """
+    return np.array_split(boxes, max(1, -(-len(boxes) * others // MOST_PAIRS)))
 
 
 def iou(a: Array, b: Array) -> Array:

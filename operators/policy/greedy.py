@@ -28,7 +28,7 @@ from pipeline import (
     SettingsError,
     Tracks,
 )
-from pipeline.boxes import areas, centres, covered, intersections, iou
+from pipeline.boxes import areas, centres, covered, in_parts, intersections, iou
 
 NEW_AGE = 25  # frames since the last look, for an object that was never shown
 MOST_AGE = 250  # frames: an older look makes no difference
@@ -221,6 +221,7 @@ def best_window(
     corners = np.clip(np.rint(places - roi / 2), 0, field - roi)
     corners -= corners % geometry.step_px  # as the sensor addresses them
     windows = np.concatenate([corners, corners + roi], axis=1)
-    shows = intersections(windows, boxes) >= INSIDE * np.maximum(areas(boxes), 1e-9)
-    best = int((shows @ gain).argmax())
-    return windows[best], np.asarray(shows[best])
+    least = INSIDE * np.maximum(areas(boxes), 1e-9)
+    shown = [(intersections(part, boxes) >= least) @ gain for part in in_parts(windows, len(boxes))]
+    best = windows[int(np.concatenate(shown).argmax())]
+    return best, np.asarray(intersections(best[None], boxes)[0] >= least)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import Geometry
-from pipeline.boxes import Array, areas, centres, from_centres, intersections
+from pipeline.boxes import Array, areas, centres, from_centres, in_parts, intersections
 
 MARGIN_PX = 5.0  # around a text: one that touches the window's edge is read half as often
 WHOLE = 0.98  # share of a box and its margin that a window must show
@@ -35,16 +35,32 @@ def around(boxes: Array, worth: Array, geometry: Geometry) -> tuple[Array, NDArr
     kept = (np.minimum(*(np.max(each / roi, axis=1) for each in away)) <= 0.5) | (first == second)
     first, second, places = first[kept], second[kept], places[kept]
     windows = from_centres(places, np.broadcast_to(roi, places.shape))
-    whole = np.maximum(areas(grown), 1e-9)
-    shows = intersections(windows, grown) >= WHOLE * whole
-    shown = shows @ worth.astype(np.float32)
+    least = np.asarray(WHOLE * np.maximum(areas(grown), 1e-9), np.float32)
+    pairs = np.stack([first, second], 1)
+    itself, shown = compared(windows, grown, least, worth.astype(np.float32), pairs)
     shown[first == second] += np.float32(NEARER)
     gain: Array = np.full((count, count), -1, np.float32)  # of what does not show the text itself
     window: NDArray[np.intp] = np.zeros((count, count), np.intp)
-    for text, other in ((first, second), (second, first)):
-        gain[text, other] = np.where(shows[np.arange(len(text)), text], shown, -1)
+    for text, other, shows in ((first, second, itself[:, 0]), (second, first, itself[:, 1])):
+        gain[text, other] = np.where(shows, shown, -1)
         window[text, other] = np.arange(len(text))
     best = gain.argmax(1)
     best = np.where(gain[own, best] < 0, own, best)  # larger than a window
     chosen = window[own, best]
-    return places[chosen], np.asarray(shows[chosen])
+    return places[chosen], np.asarray(intersections(windows[chosen], grown) >= least)
+
+
+def compared(
+    windows: Array, boxes: Array, least: Array, worth: Array, pairs: NDArray[np.intp]
+) -> tuple[NDArray[np.bool_], Array]:
+    """Return which of its two texts each window shows (m, 2), and what all it shows is worth (m,).
+
+    `least` (n,) is the area of each box that a window must show, `pairs` (m, 2) are rows of boxes.
+    """
+    own, found, begin = [], [], 0
+    for part in in_parts(windows, len(boxes)):
+        shows = intersections(part, boxes) >= least
+        own.append(np.take_along_axis(shows, pairs[begin : begin + len(part)], 1))
+        found.append(shows @ worth)
+        begin += len(part)
+    return np.concatenate(own), np.concatenate(found)

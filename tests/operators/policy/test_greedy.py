@@ -1,10 +1,12 @@
 """The greedy policy: where a window gains most, by age of the last look and doubt."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 
 from operators.policy import GreedyPolicy, GreedyPolicySettings
+from operators.policy.greedy import INSIDE, best_window
 from pipeline import RoiFeatures, Scanpath, Tracks
 from pipeline.boxes import covered
 from pipeline.testing import header
@@ -157,3 +159,21 @@ def test_another_stream_begins_without_looks() -> None:
     subject.on_stream(header(0))
 
     assert not len(subject.state().ids)
+
+
+def test_a_crowd_takes_little_memory_and_gets_the_window_that_gains_most() -> None:
+    rng, geometry = np.random.default_rng(0), header(0).geometry
+    middle = rng.uniform([700, 400], [1180, 670], (300, 2))
+    half = np.array([6, 15])
+    boxes = np.concatenate([middle - half, middle + half], 1).astype(np.float32)
+    gain = rng.integers(1, 100, 300).astype(np.float64)
+
+    tracemalloc.start()
+    window, inside = best_window(boxes, gain, geometry)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert most < 32 * 2**20
+    assert (inside == (covered(boxes, window) >= INSIDE)).all()
+    around_one = (best_window(each[None], np.ones(1), geometry)[0] for each in boxes)
+    assert gain[inside].sum() >= max(gain[covered(boxes, w) >= INSIDE].sum() for w in around_one)

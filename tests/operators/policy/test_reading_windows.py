@@ -1,5 +1,6 @@
 """The window of a text shows it, and of all windows between two texts what is worth most."""
 
+import tracemalloc
 from collections.abc import Sequence
 
 import numpy as np
@@ -80,3 +81,18 @@ def test_without_texts_there_is_no_window() -> None:
     places, shows = around(np.zeros((0, 4), np.float32), np.zeros(0, np.float32), GEOMETRY)
 
     assert (places.shape, shows.shape) == ((0, 2), (0, 0))
+
+
+def test_many_texts_take_little_memory() -> None:
+    rng = np.random.default_rng(0)
+    middle = rng.uniform([500, 250], [780, 400], (300, 2)).astype(np.float32)
+    boxes = np.concatenate([middle - 6, middle + 6], 1)
+
+    tracemalloc.start()
+    places, shows = around(boxes, rng.random(300).astype(np.float32), GEOMETRY)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert most < 64 * 2**20
+    assert shows.diagonal().all()
+    assert all(shown(places[k], boxes[j]) == shows[k, j] for k in range(0, 300, 50) for j in (0, 9))
