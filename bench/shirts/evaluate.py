@@ -115,7 +115,7 @@ def measured(asked: Sequence[Job], folder: Path, jobs: int) -> dict[Job, Outcome
     """Return all outcomes: those of finished clips from the folder, others after playing them."""
     folder.mkdir(parents=True, exist_ok=True)
     files = {job: folder / f"{key(job)}.json" for job in asked}
-    found = {job: read(path) for job, path in files.items() if path.exists()}
+    found = {job: done for job, path in files.items() if (done := read(path)) is not None}
     left = [job for job in asked if job not in found]
     with pool_of(jobs) as pool, bar("clips", len(asked), len(found)) as shown:
         waiting = {pool.submit(trial, job): job for job in left}
@@ -133,14 +133,17 @@ def key(job: Job) -> str:
     return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def read(path: Path) -> Outcome:
-    """Return a finished clip."""
-    told = json.loads(path.read_text())
-    both = {
-        name: Counts(**{**told[name], "waits": tuple(told[name]["waits"])})
-        for name in ("counts", "alone")
-    }
-    return Outcome(**{**told, **both})
+def read(path: Path) -> Outcome | None:
+    """Return a finished clip; None if the file is missing or damaged: it is played again."""
+    try:
+        told = json.loads(path.read_text())
+        both = {
+            name: Counts(**{**told[name], "waits": tuple(told[name]["waits"])})
+            for name in ("counts", "alone")
+        }
+        return Outcome(**{**told, **both})
+    except (FileNotFoundError, ValueError, TypeError, KeyError):
+        return None
 
 
 def share(outcomes: Sequence[Counts], part: str, whole: str) -> Mean:

@@ -166,6 +166,21 @@ def test_clips_are_summed_and_finished_ones_are_not_played_again(tmp_path: Path)
     assert "foveated | 1/8 | 0.750 |  | 0.750 | 8 | 1.0" in result.output
 
 
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"pixels": 0.125}', "\x80"])
+def test_a_damaged_clip_is_played_again(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluate, "trial", lambda _: outcome(4, 20))
+    monkeypatch.setattr(evaluate, "pool_of", ThreadPoolExecutor)
+    path = tmp_path / f"{evaluate.key(job('context'))}.json"
+    path.write_bytes(text.encode("latin-1"))
+
+    found = evaluate.measured([job("context")], tmp_path, 1)
+
+    assert found == {job("context"): outcome(4, 20)}
+    assert evaluate.read(path) == outcome(4, 20)
+
+
 @pytest.mark.parametrize("words", [["--clips", "0"], ["--seed", "-1"], ["--strategies", "best"]])
 def test_what_cannot_be_measured_is_refused(words: list[str], tmp_path: Path) -> None:
     result = CliRunner().invoke(evaluate.command, [*words, "--work", str(tmp_path / "work")])
