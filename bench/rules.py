@@ -44,6 +44,7 @@ POLICIES = {  # as `planned` takes them
     "of the graph": "",
 }  # fmt: skip
 FIGURES = ("share in the ROI", "IoU")
+TRACKER = "tracker"  # the node
 ON_IT = "tracker on it where the ROI shows it"
 RIGHT = "tracker on it where it answers"
 SHOWN, ON = 0.5, 0.2  # share of the target in the ROI, IoU
@@ -67,7 +68,7 @@ class Watch:
         """Take a message of the graph."""
         if isinstance(message, Frame) and output == "capture.roi":
             self._windows[message.header.seq] = message.window
-        elif isinstance(message, Percept) and output.partition(".")[0] == "tracker":
+        elif isinstance(message, Percept) and output.partition(".")[0] == TRACKER:
             if len(message.boxes):
                 self._answers[message.header.seq] = message.boxes
         elif isinstance(message, Truth) and output == "capture.truth":
@@ -112,6 +113,13 @@ def rules_of(plan: Plan) -> Mapping[str, Rule]:
     """Return the rules of a graph's policy by what they say; none of one without such."""
     classes = {node.name: node.operator.partition(":")[2] for node in plan.nodes}
     return RULES.get(classes.get("policy", "").removesuffix("Policy").lower(), {})
+
+
+def followed_in(plan: Plan) -> Plan:
+    """Return a plan whose tracker can be judged; raises `RunError` for one without."""
+    if TRACKER not in {node.name for node in plan.nodes}:
+        raise RunError(f"{plan.name}: expected a graph with a node {TRACKER} to judge, got none")
+    return plan
 
 
 def first_truth(plan: Plan) -> Truth:
@@ -165,7 +173,7 @@ def rows(found: Mapping[tuple[str, str, str], Targets]) -> Iterator[dict[str, An
         row: dict[str, Any] = {"policy": policy, "target": kind, "without": name}
         for figure in FIGURES:
             own, all_rules = blocks(clips, figure), blocks(usual, figure)
-            row[figure] = round(mean(own).iou, 3)
+            row[figure] = rounded(mean(own).iou)
             if name != ALL:
                 row[f"{figure}: gained without"] = worded(*difference(own, all_rules))
             else:
@@ -181,7 +189,7 @@ def beside(found: Mapping[tuple[str, str, str], Targets]) -> Iterator[dict[str, 
         row: dict[str, Any] = {"target": kind, "policy": policy}
         for figure in FIGURES:
             own = blocks(clips, figure)
-            row[figure] = round(mean(own).iou, 3)
+            row[figure] = rounded(mean(own).iou)
             above = difference(own, blocks(whole[first, kind], figure))
             row[f"{figure}: above {first}"] = "" if policy == first else worded(*above)
         row |= {ON_IT: on_it(clips.values()), RIGHT: right(clips.values())}
@@ -219,12 +227,23 @@ def blocks(targets: Targets, figure: str) -> dict[str, Block]:
     return found
 
 
+def rounded(value: float) -> float | str:
+    """Return a mean for the table; empty over no frames.
+
+    >>> rounded(0.12345), rounded(float("nan"))
+    (0.123, '')
+    """
+    return round(value, 3) if value == value else ""
+
+
 def worded(middle: float, low: float, high: float) -> str:
-    """Return a difference with its interval, if it has one.
+    """Return a difference with its interval, if it has one; empty for none.
 
     >>> worded(0.1, 0.05, 0.15), worded(0.1, float("nan"), float("nan"))
     ('+0.100 (+0.050 .. +0.150)', '+0.100')
     """
+    if middle != middle:
+        return ""
     return f"{middle:+.3f}" + (f" ({low:+.3f} .. {high:+.3f})" if low == low else "")
 
 
@@ -272,11 +291,8 @@ def main(
             raise RunError(f"--policies: expected some of {', '.join(POLICIES)}, got {name[:40]!r}")
     cases = []
     for policy in policies.split(","):
-        rules = (
-            {}
-            if whole
-            else rules_of(planned(graph, changes, policy=POLICIES[policy], source=source))
-        )
+        plan = followed_in(planned(graph, changes, policy=POLICIES[policy], source=source))
+        rules = {} if whole else rules_of(plan)
         cases += [(policy, name, rule) for name, rule in {ALL: None, **rules}.items()]
     found: dict[tuple[str, str, str], Targets] = {}
     seeds = range(first_clip, first_clip + clips)

@@ -1,5 +1,6 @@
 """Rules of the policies are left out one at a time, and the others are as they were."""
 
+import json
 from importlib import import_module
 from operator import attrgetter
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from bench.options import ROOT
 from bench.policy_rules import RULES, Rule, without
 from bench.rules import ALL, FIGURES, Watch, asked, beside, main, on_it, right, rows
 from pipeline.errors import RunError
@@ -183,6 +185,23 @@ def test_targets_that_no_clip_shows_are_refused() -> None:
 
     assert told.exit_code == 1
     assert "--targets: expected what the first frames show, got 'cat'" in told.output
+
+
+def test_a_graph_without_a_tracker_is_refused() -> None:
+    result = CliRunner().invoke(main, [str(ROOT / "graphs" / "many.yaml"), "--policies", "pursuit"])
+
+    assert result.exit_code == 1
+    assert "many: expected a graph with a node tracker to judge, got none" in result.output
+
+
+def test_a_target_that_is_never_visible_has_no_figures() -> None:
+    unseen = {("a", -1): Watch(kind="dog")}
+    both = {("one", "dog", ALL): unseen, ("other", "dog", ALL): unseen}
+
+    (_, row) = beside(both)
+
+    assert [row[figure] for figure in FIGURES] == ["", ""]
+    assert json.dumps([row, *rows(both)], allow_nan=False)
 
 
 def test_runs_from_several_starts_of_a_clip_are_one_target() -> None:
