@@ -244,6 +244,9 @@ class SimulatedSensor:
                 if told
                 else "share of the objects inside the ROI: not known, the source has no truth"
             )
+            label = self._settings.oracle_label
+            if self._settings.strategy == "oracle" and label not in shares:
+                found[HEADLINE] += f"; the oracle stayed in the middle: no {label} in the truth"
         return found
 
     def _opened(self) -> FrameSource:

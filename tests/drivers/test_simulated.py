@@ -190,6 +190,15 @@ def test_the_headline_states_the_share_inside_the_roi_where_it_is_known() -> Non
     assert "headline" not in whole.summary()  # there is no ROI
 
 
+def test_an_oracle_that_knows_no_object_of_its_label_is_told_as_one_in_the_middle() -> None:
+    lost = sensor(strategy="oracle", oracle_label="dog")
+    play(lost)
+
+    assert lost.summary()["headline"].endswith(
+        "; the oracle stayed in the middle: no dog in the truth"
+    )
+
+
 def test_of_many_labels_the_headline_states_the_mean() -> None:
     seen = sensor(strategy="oracle")
     play(seen)
