@@ -50,14 +50,13 @@ class Row:
 def rows_of(strategies: Iterable[str], budgets: Iterable[Fraction], plan: Plan) -> list[Row]:
     """Return the rows; `full` has no budget. Raises `SettingsError` for what cannot be met.
 
-    `all` are those that the graph can have: `foveated` needs something that commands the ROI.
+    `all` are those that the graph can have: `foveated` needs something that commands the ROI, and
+    `oracle` the name of the object on which the ROI sits.
     """
     aimed = "schedule" in plan.inputs(ROBOT)
-    known = [
-        "full",
-        CONTEXT,
-        *(s for s in STRATEGIES if s != "full" and (aimed or s != "foveated")),
-    ]
+    named = "oracle_label" in plan.node(ROBOT).settings.get("options", {})
+    without = {"full"} | (set() if aimed else {"foveated"}) | (set() if named else {"oracle"})
+    known = ["full", CONTEXT, *(s for s in STRATEGIES if s not in without)]
     asked = [name for each in strategies for name in (known if each == "all" else [each])]
     found: list[Row] = []
     for name in dict.fromkeys(asked):
@@ -65,6 +64,11 @@ def rows_of(strategies: Iterable[str], budgets: Iterable[Fraction], plan: Plan) 
             raise SettingsError(f"strategies: expected all, {', '.join(known)}, got {name}")
         if name == "foveated" and not aimed:
             raise SettingsError("strategies: foveated needs a graph that commands the ROI")
+        if name == "oracle" and not named:
+            raise SettingsError(
+                f"strategies: oracle needs the object that its ROI follows, as --set "
+                f"{ROBOT}.oracle_label=peg, got none"
+            )
         if name == "full":
             found.append(Row(strategy=name, budget=Fraction(1)))
             continue

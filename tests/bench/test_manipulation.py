@@ -54,6 +54,18 @@ def test_every_row_keeps_to_its_budget_and_full_resolution_has_none() -> None:
     assert {row.strategy for row in rows} >= {"spatial", "temporal", "exposure", "centred"}
 
 
+def test_the_oracle_is_a_row_only_where_its_object_is_named() -> None:
+    unnamed, named = (
+        plan_of(Job(graph=str(GRAPH), changes=changes))
+        for changes in ((), ("robot.oracle_label=peg",))
+    )
+
+    assert "oracle" not in {row.strategy for row in rows_of(["all"], [SIXTEENTH], unnamed)}
+    assert "oracle" in {row.strategy for row in rows_of(["all"], [SIXTEENTH], named)}
+    with pytest.raises(SettingsError, match=r"oracle needs .* --set robot.oracle_label=peg"):
+        rows_of(["oracle"], [SIXTEENTH], unnamed)
+
+
 def test_what_cannot_be_measured_is_refused() -> None:
     plan = plan_of(Job(graph=str(GRAPH), changes=()))
 
