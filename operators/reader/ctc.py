@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from operators.reader.ocr import MOST_LETTERS, Reading
 from operators.reader.reader import Reads, TextReader, check_reader
@@ -30,6 +31,7 @@ Picture = NDArray[np.uint8]
 LINE_PX = 48  # height where the network leaves it open
 LEAST_WIDE_PX, MOST_WIDE_PX = 48, 960  # of a line at that height
 BLANK = 0  # the class that is no letter
+MOST_CHANCE = 1.01  # of a letter, as networks round
 MOST_LINES = 24  # read in one frame
 INSIDE = 0.9  # share of a track that the ROI must show
 MARGIN = 0.12  # around a track's box, of its height
@@ -136,12 +138,15 @@ def recogniser_of(settings: OnnxReaderSettings) -> Recogniser:
 def decoded(chances: NDArray[np.float32], letters: tuple[str, ...]) -> tuple[str, float]:
     """Return the text of probabilities (positions, 1 + letters) and its mean score.
 
-    Repetitions count once unless a blank, class 0, is between them.
+    Repetitions count once unless a blank, class 0, is between them. Of a network that ends before
+    the softmax the probabilities are computed: its own numbers would all be sure readings.
 
     >>> table = np.eye(3, dtype=np.float32)[[1, 1, 0, 1, 2]]
     >>> decoded(table, ("A", "B"))
     ('AAB', 1.0)
     """
+    if chances.min(initial=0) < 0 or chances.max(initial=0) > MOST_CHANCE:
+        chances = softmax(chances, axis=1)
     best, score = chances.argmax(1), chances.max(1)
     new = np.concatenate([[True], best[1:] != best[:-1]]) & (best != BLANK)
     if not new.any():

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 pytest.importorskip("rapidocr")
 
 from operators.reader import OnnxReader, Reader
-from operators.reader.ctc import OnnxReaderSettings
+from operators.reader.ctc import OnnxReaderSettings, decoded
 from operators.reader.ocr import LONGEST_SIDE_PX, PaddleOcr, provider_of, starts
 from operators.reader.reader import ReaderSettings
 from pipeline import Frame, Header, Percept, SettingsError, Tracks
@@ -209,6 +209,18 @@ def test_a_missing_network_is_refused_in_a_sentence_before_a_run_too() -> None:
     with pytest.raises(WeightsError, match=r"weights: expected an ONNX file, got no\.onnx"):
         OnnxReader.advise(OnnxReaderSettings(weights="no.onnx"), {})
     assert not [*Reader.advise(ReaderSettings(), {}), *OnnxReader.advise(OnnxReaderSettings(), {})]
+
+
+@pytest.mark.parametrize("shift", [0.0, -20.0])  # logits; as logarithms of probabilities, below 0
+def test_a_network_that_ends_before_the_softmax_is_as_sure_as_its_probabilities(
+    shift: float,
+) -> None:
+    chances = np.array([[0.1, 0.6, 0.3], [0.8, 0.1, 0.1], [0.2, 0.1, 0.7]], np.float32)
+
+    text, score = decoded(np.log(chances) + 10 + np.float32(shift), ("A", "B"))
+
+    assert (text, score) == ("AB", pytest.approx(0.65, abs=1e-4))
+    assert decoded(chances, ("A", "B")) == ("AB", pytest.approx(0.65, abs=1e-6))
 
 
 def test_a_file_that_is_no_network_is_refused_in_a_sentence(tmp_path: Path) -> None:
