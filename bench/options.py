@@ -1,5 +1,6 @@
 """Options and error handling shared by benches that run a graph."""
 
+import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,26 @@ from pipeline.errors import FoveaError
 from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 
 ROOT = Path(__file__).resolve().parents[1]
-JSON = click.option("--json", "path", type=click.Path(path_type=Path), help="Write the figures.")
+
+
+def writable(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+    """Return a file that can be written, its folder made: hours of work come before it."""
+    if path is None:
+        return None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        told = f"{path.parent}: cannot be a folder: {error.strerror}"
+        raise click.BadParameter(told, param=option) from error
+    place = path if path.exists() else path.parent
+    if path.is_dir() or not os.access(place, os.W_OK):
+        raise click.BadParameter(f"{path}: cannot be written", param=option)
+    return path
+
+
+JSON = click.option(
+    "--json", "path", type=click.Path(path_type=Path), callback=writable, help="Write the figures."
+)
 
 
 class Bench(click.Command):

@@ -18,6 +18,7 @@ import numpy as np
 
 from bench.machine import facts
 from bench.manipulation.evaluate import LIBRARIES
+from bench.options import writable
 from drivers.readout import geometry_of
 from drivers.scenes.insertion import COMPLETE, STEPS, InsertionScene
 from operators.manipulation.ensemble import Ensemble
@@ -39,7 +40,9 @@ MIDDLE, NONE, BEST = "middle of the field", "context alone", "best of the window
 @click.option("--consumer", type=Path, default=SHIPPED, help="an ONNX file; else the shipped one")
 @click.option("--trials", default=10, show_default=True, type=click.IntRange(1, 10_000))
 @click.option("--seed", default=50_000, show_default=True, type=click.IntRange(0))
-@click.option("--json", "report", type=Path, help="write the figures")
+@click.option(
+    "--json", "report", type=click.Path(path_type=Path), callback=writable, help="write the figures"
+)
 def command(consumer: Path, trials: int, seed: int, report: Path | None) -> None:
     """Measure what a window gains the consumer."""
     with in_a_sentence():

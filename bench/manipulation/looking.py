@@ -17,6 +17,7 @@ import numpy as np
 
 from bench.machine import facts
 from bench.manipulation.evaluate import LIBRARIES
+from bench.options import writable
 from drivers.scenes.insertion import COMPLETE, PARTIAL
 from operators.acting.data import SALIENCY
 from operators.acting.network import SHIPPED, ActingNetwork
@@ -38,7 +39,9 @@ EVERY = 5  # frames between those in which the change is measured
 @click.option("--rules", default="turn,gain,chance,tracks", show_default=True)
 @click.option("--trials", default=20, show_default=True, type=click.IntRange(1, 10_000))
 @click.option("--seed", default=50_400, show_default=True, type=click.IntRange(0))
-@click.option("--json", "report", type=Path, help="write the figures")
+@click.option(
+    "--json", "report", type=click.Path(path_type=Path), callback=writable, help="write the figures"
+)
 def command(weights: Path, rules: str, trials: int, seed: int, report: Path | None) -> None:
     """See the module."""
     cv2.setNumThreads(1)

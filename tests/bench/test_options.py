@@ -4,11 +4,12 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from click import ClickException
+from click import ClickException, Command
 from click.testing import CliRunner
 
-from bench import crash, kalman, loop, scene, soak
+from bench import crash, identity_gain, kalman, loop, scene, soak
 from bench.manipulation import evaluate as manipulation
+from bench.manipulation import gain, looking
 from bench.reading import evaluate as reading
 from bench.shirts import evaluate as shirts
 from bench.tracking import evaluate as tracking
@@ -40,6 +41,23 @@ def test_footage_that_is_not_there_is_one_sentence_and_exit_status_2(
 
     assert ended.value.code == 2
     assert "error: /nowhere" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [identity_gain.main, gain.command, looking.command])
+def test_figures_that_cannot_be_written_are_refused_before_the_work(
+    command: Command, tmp_path: Path
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+
+    for path in (tmp_path, file / "below.json"):
+        done = CliRunner().invoke(command, ["--json", str(path)])
+        assert done.exit_code == 2
+        assert "Invalid value for '--json'" in done.output
+    with command.make_context("bench", ["--json", str(tmp_path / "new" / "figures.json")]):
+        assert (tmp_path / "new").is_dir()
+    with command.make_context("bench", ["--json", "/dev/stdout"]):
+        assert Path("/dev/stdout").exists()
 
 
 @pytest.mark.parametrize("evaluation", [tracking, reading, shirts, manipulation])
