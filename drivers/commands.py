@@ -26,6 +26,10 @@ class Commanded:
     status: str  # ok | unplanned | stale
 
 
+class RefusedSchedule(DriverError):
+    """A sensor cannot obey a schedule. It goes on, by the commands before."""
+
+
 class CommandTable:
     """The schedules sent to a sensor. `accept` and `look_up` may be called by two threads.
 
@@ -46,7 +50,7 @@ class CommandTable:
     def accept(self, schedule: RoiSchedule) -> None:
         """Accept a schedule, or count why it is refused; an empty one is ignored.
 
-        Raises `DriverError` for more windows in one frame than the sensor reads.
+        Raises `RefusedSchedule` for more windows in one frame than the sensor reads.
         """
         if not len(schedule.windows):
             return
@@ -116,7 +120,7 @@ def rows_of(windows: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def check_count(schedule: RoiSchedule, rois: int) -> None:
-    """Raise `DriverError` for a schedule with no or more windows in a frame than a sensor reads.
+    """Raise `RefusedSchedule` for no or more windows in a frame than a sensor reads.
 
     An empty schedule has no frames, and passes.
     """
@@ -125,7 +129,7 @@ def check_count(schedule: RoiSchedule, rois: int) -> None:
     count = rows_of(schedule.windows).shape[1]
     if not 1 <= count <= rois:
         wanted = "1 window" if rois == 1 else f"1 to {rois} windows"
-        raise DriverError(
+        raise RefusedSchedule(
             f"schedule: expected {wanted} in one exposure, which is what this sensor reads, "
             f"got {count}"
         )

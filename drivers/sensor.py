@@ -100,7 +100,7 @@ class DualStreamSensor(Protocol):
         Windows of the wrong size are replaced by one of the ROI's size around the same centre;
         then clamped to the field, then aligned down to the sensor's step. The frame contains the
         actual window. Late schedules and those of another stream are counted, not used. Raises
-        `DriverError` for more windows in one frame than `Capabilities.rois`.
+        `RefusedSchedule` for more windows in one frame than `Capabilities.rois`.
         """
         ...
 

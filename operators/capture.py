@@ -3,20 +3,24 @@
 A simulated sensor that knows the ground truth also sends it, for scoring.
 """
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from numpy.typing import DTypeLike, NDArray
 
+from drivers.commands import RefusedSchedule
 from drivers.sensor import FURTHER, DualStreamSensor, StatesStreams
 from drivers.source import Annotations
-from pipeline.contract import Input, Output, Source
+from pipeline.contract import HEADLINE, Input, Output, Source
 from pipeline.errors import DriverError, SettingsError
 from pipeline.forecast import Forecast, Upstream
 from pipeline.import_path import imported
 from pipeline.messages import Frame, Header, Message, RoiSchedule, Truth
 from pipeline.settings import build
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +69,7 @@ class Capture(Source[CaptureSettings, Frame]):
     truth = Output(Truth)
 
     _sensor: DualStreamSensor | None = None
+    _refused: int = 0  # schedules
 
     @classmethod
     def forecast(cls, settings: CaptureSettings, upstream: Upstream) -> Forecast:
@@ -92,8 +97,13 @@ class Capture(Source[CaptureSettings, Frame]):
         sensor.start()
 
     def on_schedule(self, schedule: RoiSchedule) -> None:
-        """Pass a command to the sensor."""
-        self._opened().set_rois(schedule)
+        """Pass a command to the sensor. One that it cannot obey is counted; the sensor goes on."""
+        try:
+            self._opened().set_rois(schedule)
+        except RefusedSchedule as error:
+            if not self._refused:
+                log.warning("%s; it is not used, nor are others like it", error)
+            self._refused += 1
 
     def produce(self) -> Mapping[str, Message] | None:
         """Return the next exposure, one message per stream."""
@@ -109,8 +119,13 @@ class Capture(Source[CaptureSettings, Frame]):
         return answers
 
     def summary(self) -> Mapping[str, Any]:
-        """Return the sensor's figures."""
-        return self._sensor.summary() if self._sensor else {}
+        """Return the sensor's figures, and how many schedules it could not obey."""
+        found = dict(self._sensor.summary()) if self._sensor else {}
+        if self._refused:
+            told = f"{self._refused} schedules were refused, as the log says"
+            found["refused_schedules"] = self._refused
+            found[HEADLINE] = "; ".join([*filter(None, [found.get(HEADLINE)]), told])
+        return found
 
     def close(self) -> None:
         """Stop and release the device."""

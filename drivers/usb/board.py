@@ -116,7 +116,7 @@ class DualStreamBoard:
     def set_rois(self, schedule: RoiSchedule) -> None:
         """Send the windows of coming frames; may be called by another thread than `read`.
 
-        Raises `DriverError` for several in one exposure: the protocol has one ROI.
+        Raises `RefusedSchedule` for several in one exposure: the protocol has one ROI.
         """
         check_count(schedule, 1)
         if not len(schedule.windows):

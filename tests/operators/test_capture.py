@@ -159,3 +159,25 @@ def test_the_truth_of_a_source_is_sent_with_its_pictures() -> None:
     again = loads(Truth, dumps(truth))
     assert again.labels == truth.labels
     assert np.array_equal(again.visibility, truth.visibility)
+
+
+def test_a_schedule_that_the_sensor_cannot_obey_is_counted_and_the_sensor_goes_on(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    subject = capture()
+    subject.open()
+    context, _ = produced(subject)
+    twice = [[(0, 0, 80, 48)] * 2] * 4
+    wrong = command(context.header.stream, made_from=0, first=1, windows=twice)
+
+    for _ in range(3):
+        subject.on_schedule(wrong)
+    _, roi = produced(subject)
+    subject.close()
+
+    assert roi.status == "unplanned"
+    assert subject.summary()["refused_schedules"] == 3
+    assert subject.summary()["headline"].endswith("3 schedules were refused, as the log says")
+    (said,) = caplog.messages
+    assert said.startswith("schedule: expected 1 window in one exposure")
+    assert said.endswith("got 2; it is not used, nor are others like it")
