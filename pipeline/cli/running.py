@@ -14,16 +14,15 @@ from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColum
 from rich.text import Text
 
 from pipeline.cause import cause_of, is_signal
-from pipeline.contract import BEFORE, SOURCE, settings_of
-from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, WeightsError
-from pipeline.graph.plan import Node, Plan, load_operator, sources
+from pipeline.errors import FoveaError, RunError
+from pipeline.graph.advice import advised, built
+from pipeline.graph.plan import Plan
 from pipeline.run.heartbeat import Heartbeat
 from pipeline.run.inline import InlineRunner
 from pipeline.run.loaded_graph import account_of
 from pipeline.run.reaper import Reaper
 from pipeline.run.report import Report
 from pipeline.run.supervisor import STOP_S, Supervisor
-from pipeline.settings import build
 from pipeline.signals import Interruption
 from pipeline.terminal import pair
 from pipeline.text import harmless
@@ -166,43 +165,10 @@ def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
 def advice(plan: Plan, settings: Mapping[str, Any] | None = None) -> Iterator[str]:
     """Yield what the operators advise before the run (`Operator.advise`)."""
     settings = built_settings(plan) if settings is None else settings
-    source = {SOURCE: settings[next(sources(plan)).name]} if any(sources(plan)) else {}
     for node in plan.nodes:
-        edges = plan.inputs(node.name).values()
-        upstream = source | {e.input: settings[e.source] for e in edges}
-        upstream[BEFORE] = tuple(settings[name] for name in before(plan, node.name))
-        try:
-            lines = list(load_operator(node.operator).advise(settings[node.name], upstream))
-        except WeightsError as error:
-            if not node.host:  # otherwise another host has to have them
-                raise WeightsError(f"{node.name}: {error}") from error
-            lines = [f"on {node.host}: {error}"]
-        except SettingsError as error:  # its text begins with the setting's name
-            raise SettingsError(f"{node.name}.{error}") from error
-        except FoveaError:
-            raise
-        except BaseException as error:
-            if is_signal(error):
-                raise
-            said = f"{node.name}: {node.operator}.advise: {cause_of(error)}"
-            raise GraphError(said) from error
-        for line in lines:
-            yield f"{node.name}: {harmless(str(line))}"
-
-
-def before(plan: Plan, node: str) -> list[str]:
-    """Return the nodes that a node depends on, nearest first; in a loop, without itself."""
-    found = [node]
-    for name in found:  # it grows
-        readers = (edge.source for edge in plan.inputs(name).values())
-        found += [source for source in readers if source not in found]
-    return found[1:]
+        yield from advised(plan, node, settings)
 
 
 def built_settings(plan: Plan) -> dict[str, Any]:
     """Return the settings of every node as its operator gets them; some load a network."""
-    return {node.name: _settings(node) for node in plan.nodes}
-
-
-def _settings(node: Node) -> Any:
-    return build(settings_of(load_operator(node.operator)), node.settings, node.name)
+    return {node.name: built(node) for node in plan.nodes}
