@@ -31,10 +31,12 @@ from operators.policy.tokens import Array, Objects
 from operators.policy.utility import UTILITIES
 from pipeline import RoiFeatures, Tracks
 from pipeline.boxes import centres, covered, roi_window
-from pipeline.errors import SettingsError
+from pipeline.errors import RunError, SettingsError
 
 INSIDE = 0.5  # share of a box that the ROI must show, as operators.roi_features has it
 BY_CLASS = ("ball", "main referee")  # classes with a single object
+TARGETS = (*BY_CLASS, "player")  # labels of the truth that episodes follow
+MOST_MISSES = 5_000  # draws of a target, one after another, that no clip shows
 Choose = Callable[[Sequence[Objects], Sequence[Array]], Sequence[Array]]  # -> (N, Tp) each
 Window = tuple[int, int, int, int]
 
@@ -220,14 +222,24 @@ def tasks(
 
     Every episode starts on a visible target. Most prompts are boxes; some for the ball or the
     referee only name the class. `late` sets delays and replanning intervals; with None, all
-    prompts are boxes and every frame is planned without delay.
+    prompts are boxes and every frame is planned without delay. Raises `RunError` for clips that
+    show no such target.
     """
     rng = np.random.default_rng([seed, 5])
     found: list[Task] = []
+    misses = 0
     while len(found) < count:
+        if misses == MOST_MISSES:
+            labels = {label for clip in recordings for label in clip.people_and_ball.values()}
+            raise RunError(
+                f"{recordings[0].path.parent}: expected clips in whose first part a "
+                f"{', a '.join(TARGETS[:-1])} or a {TARGETS[-1]} is visible, got "
+                f"{', '.join(sorted(labels)) or 'nothing'}; give another scene, or longer clips"
+            )
+        misses += 1
         clip = int(rng.integers(len(recordings)))
         recording = recordings[clip]
-        label = str(rng.choice(["ball", "main referee", "player"], p=[0.5, 0.2, 0.3]))
+        label = str(rng.choice(TARGETS, p=[0.5, 0.2, 0.3]))
         able = [i for i, own in recording.people_and_ball.items() if own == label]
         if not able:
             continue
@@ -236,7 +248,7 @@ def tasks(
         starts = np.flatnonzero(visible[: max(1, len(recording) - frames // 2)] >= INSIDE)
         if not len(starts):
             continue
-        start = int(rng.choice(starts))
+        start, misses = int(rng.choice(starts)), 0
         if late is None:
             found.append(Task(clip=clip, start=start, target=target))
             continue

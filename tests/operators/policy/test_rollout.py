@@ -11,6 +11,7 @@ from operators.policy.rollout import Episode, Late, Task, roll, tasks, teacher, 
 from operators.policy.utility import gains
 from pipeline import Geometry, RoiFeatures, Tracks, Truth
 from pipeline.boxes import centres, roi_window
+from pipeline.errors import RunError
 from pipeline.messages import altered
 from pipeline.testing import header
 from tests.operators.policy.made_up import tracks
@@ -129,3 +130,13 @@ def test_tasks_follow_visible_objects_and_are_the_same_for_the_same_seed(
 
 def test_headers_have_the_number_of_the_frame(tmp_path: Path) -> None:
     assert recording(tmp_path).header(3).seq == header(3).seq
+
+
+def test_clips_without_anything_to_follow_are_refused_and_not_searched_for_ever(
+    tmp_path: Path,
+) -> None:
+    clip = recording(tmp_path, frames=4)
+    clip.people_and_ball = dict.fromkeys(clip.people_and_ball, "car")
+
+    with pytest.raises(RunError, match=r"expected clips in whose first part a ball, .* got car; "):
+        tasks([clip], 2, frames=4, seed=1, late=None)
