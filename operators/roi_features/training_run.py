@@ -98,7 +98,11 @@ def changed(
 
 
 def identity_loss(vectors: Tensor, persons: Tensor, scenes: Tensor) -> Tensor:
-    """Supervised contrast of people's features (n, d) among those of their own scene."""
+    """Supervised contrast of people's features (n, d) among those of their own scene.
+
+    0 for a batch in which nobody is twice: the mean of no one would be no number, and after its
+    gradient no weight would be one either.
+    """
     known = persons != NOBODY
     vectors = F.normalize(vectors[known], dim=1)
     persons, scenes = persons[known], scenes[known]
@@ -108,7 +112,8 @@ def identity_loss(vectors: Tensor, persons: Tensor, scenes: Tensor) -> Tensor:
     same = rivals & (persons[:, None] == persons)
     spread = likeness.masked_fill(~rivals, -1e4).logsumexp(1, keepdim=True)
     each = ((likeness - spread) * same).sum(1) / same.sum(1).clamp(min=1)
-    return -each[same.any(1)].mean()
+    twice = same.any(1)
+    return -(each * twice).sum() / twice.sum().clamp(min=1)
 
 
 def class_loss(logits: Tensor, kinds: Tensor) -> Tensor:

@@ -63,6 +63,17 @@ def test_the_identity_loss_ignores_false_candidates_and_people_of_other_scenes()
     assert with_others == pytest.approx(float(alone), abs=1e-4)
 
 
+def test_a_batch_in_which_nobody_is_twice_leaves_the_weights_numbers() -> None:
+    told = vectors(0, 20, 60).requires_grad_()
+
+    loss = identity_loss(told, torch.tensor([1, 2, NOBODY]), torch.zeros(3))
+    loss.backward()
+
+    assert float(loss.detach()) == 0
+    assert told.grad is not None
+    assert not told.grad.any()
+
+
 def test_a_batch_shows_people_twice_and_every_class() -> None:
     crops = crops_of(scenes=5, seed=1)
 
