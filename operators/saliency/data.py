@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
@@ -19,7 +18,7 @@ from operators.saliency.movement import KNOWN_SHARE
 from operators.saliency.pasting import Bank
 from operators.saliency.render import unpacked
 from operators.saliency.stills import Stills
-from operators.training.arrays import read
+from operators.training.arrays import mapped, read
 from operators.training.device import moved
 from operators.training.loading import in_sentences
 from pipeline.errors import DriverError
@@ -59,7 +58,7 @@ class Rendered(Dataset[Example]):
 
     def __init__(self, files: Iterable[Path], *, seed: int, raw_share: float = 0.0) -> None:
         self._seed, self._raw_share = seed, raw_share
-        self._scenes = [(_pictures(path.with_suffix(".npy")), read(path)) for path in files]
+        self._scenes = [(mapped(path), read(path)) for path in files]
         self._places = [
             (scene, row)
             for scene, (pictures, _) in enumerate(self._scenes)
@@ -185,13 +184,6 @@ class Mixed(Dataset[Example]):
 def rendered_in(folder: Path) -> list[Path]:
     """The files of a folder that `render` has finished."""
     return [path for path in sorted(folder.glob("*.npz")) if path.stem.isdigit()]
-
-
-def _pictures(path: Path) -> NDArray[np.uint8]:
-    try:
-        return np.load(path, mmap_mode="r")  # type: ignore[no-any-return]
-    except (OSError, EOFError, ValueError) as error:
-        raise DriverError(f"{path}: expected pictures, got {error}") from error
 
 
 def collate(examples: list[Example]) -> Batch:

@@ -125,7 +125,8 @@ def render(
     """
     made = made_with(count, span, rois)
     folder.mkdir(parents=True, exist_ok=True)
-    missing = outdated((folder / f"{seed}.npz" for seed in seeds), made, print)
+    files = (folder / f"{seed}.npz" for seed in seeds)
+    missing = outdated(files, made, print, with_pictures=True)
     with pool_of(workers) as pool:
         jobs = [pool.submit(_render_scene, path, count, span, made, rois) for path in missing]
         for job in tracked(jobs, name):

@@ -4,7 +4,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from pipeline.whole_file import whole_file
 
 Arrays = dict[str, NDArray[Any]]
 MADE_WITH = "made_with"
+Source = TypeVar("Source")  # what a file is made of
 
 
 def write(path: Path, arrays: Mapping[str, NDArray[Any]], made: Identity) -> None:
@@ -29,12 +30,19 @@ def read(path: Path) -> Arrays:
     return _read(path)[0]
 
 
-def outdated(paths: Iterable[Path], made: Identity, say: Callable[[str], None]) -> list[Path]:
-    """Return the files to make again: missing, damaged, or made otherwise; report why."""
+def outdated(
+    paths: Iterable[Path], made: Identity | Callable[[Path], Identity],
+    say: Callable[[str], None], *, with_pictures: bool = False,
+) -> list[Path]:  # fmt: skip
+    """Return the files to make again: missing, damaged, or made otherwise; report why.
+
+    `made` may differ from file to file. `with_pictures`: each has pictures beside it, as `mapped`
+    reads them.
+    """
     found, reasons = [], Counter[str]()
     for path in paths:
         if path.exists():
-            reason = _fault(path, made)
+            reason = _fault(path, made(path) if callable(made) else made, with_pictures)
             if not reason:
                 continue
             reasons[f"{path.parent}: made anew: {reason}"] += 1
@@ -44,9 +52,30 @@ def outdated(paths: Iterable[Path], made: Identity, say: Callable[[str], None]) 
     return found
 
 
-def _fault(path: Path, made: Identity) -> str:
+def claim(wanted: dict[Path, Source], file: Path, source: Source) -> None:
+    """Note what a file is made of; raises `DriverError` where that is something else already."""
+    other = wanted.setdefault(file, source)
+    if other != source:
+        raise DriverError(
+            f"{source}: expected a name of its own, got that of {other}: both would be kept as "
+            f"{file.name}; rename one of them, or its folder"
+        )
+
+
+def mapped(path: Path) -> NDArray[np.uint8]:
+    """Map the pictures beside a file into memory; raises `DriverError` for missing or cut ones."""
+    beside = path.with_suffix(".npy")
+    try:
+        return np.load(beside, mmap_mode="r")  # type: ignore[no-any-return]
+    except (OSError, EOFError, ValueError) as error:
+        raise DriverError(f"{beside}: expected pictures, got {error}") from error
+
+
+def _fault(path: Path, made: Identity, with_pictures: bool) -> str:
     try:
         before = _read(path)[1]
+        if with_pictures:
+            mapped(path)
     except DriverError as error:
         return str(error)
     if before and (other := differing(before, made)):

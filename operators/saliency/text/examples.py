@@ -52,7 +52,8 @@ def draw(
 ) -> None:  # fmt: skip
     """Draw the parts of seeds into `folder`; those there that were made alike are kept."""
     folder.mkdir(parents=True, exist_ok=True)
-    missing = outdated((folder / f"{seed}.npz" for seed in seeds), made, print)
+    files = (folder / f"{seed}.npz" for seed in seeds)
+    missing = outdated(files, made, print, with_pictures=True)
     with pool_of(workers) as pool:
         jobs = [pool.submit(_draw, path, made, how) for path in missing]
         for job in tracked(jobs, name):

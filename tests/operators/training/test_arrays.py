@@ -64,3 +64,25 @@ def test_a_file_of_an_earlier_version_is_made_anew(tmp_path: Path) -> None:
 
     assert outdated([path], MADE, said.append) == [path]
     assert said == [f"{tmp_path}: made anew: by an earlier version (1 file)"]
+
+
+@pytest.mark.parametrize("how", ["missing", "empty", "cut"])
+def test_a_file_whose_pictures_are_damaged_is_made_anew(tmp_path: Path, how: str) -> None:
+    path, said = kept(tmp_path), list[str]()
+    beside = tmp_path / "7.npy"
+    np.save(beside, np.zeros((4, 9, 9), np.uint8))
+    assert outdated([path], MADE, pytest.fail, with_pictures=True) == []
+    whole = beside.read_bytes()
+    beside.unlink()
+    if how != "missing":
+        beside.write_bytes(whole[: len(whole) // 2] if how == "cut" else b"")
+
+    assert outdated([path], MADE, said.append, with_pictures=True) == [path]
+    assert f"{beside}: expected pictures, got " in said[0]
+
+
+def test_what_files_were_made_of_may_differ(tmp_path: Path) -> None:
+    path, said = kept(tmp_path, source="a"), list[str]()
+
+    assert outdated([path], lambda _: MADE | {"source": "a"}, pytest.fail) == []
+    assert outdated([path], lambda _: MADE | {"source": "b"}, said.append) == [path]
