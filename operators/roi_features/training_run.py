@@ -85,7 +85,8 @@ def changed(
     Crops of the same `light` are relit alike, as one camera shows a shirt in one colour.
     """
     side, zoom = -1 if mirror else 1, np.exp(rng.uniform(-0.2, 0.2))
-    shift = CROP_PX / 2 * (1 - np.array([side * zoom, zoom])) + rng.uniform(-7, 7, 2)
+    middle = (CROP_PX - 1) / 2  # OpenCV maps pixels by their number, whose centres lie at halves
+    shift = middle * (1 - np.array([side * zoom, zoom])) + rng.uniform(-7, 7, 2)
     matrix = np.array([[side * zoom, 0, shift[0]], [0, zoom, shift[1]]])
     size = (CROP_PX, CROP_PX)
     moved = cv2.warpAffine(picture, matrix, size, borderMode=cv2.BORDER_REFLECT_101)

@@ -125,7 +125,8 @@ def changed(scene: Scene, rng: np.random.Generator) -> Scene:
     stretch = np.exp(rng.normal(0, STRETCH, 2))
     turn = np.deg2rad(rng.normal(0, TURN_DEG))
     matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * stretch
-    matrix = np.concatenate([matrix, (middle - matrix @ middle)[:, None]], 1)
+    fixed = middle - 0.5  # boxes are of edges; OpenCV maps pixels by their number
+    matrix = np.concatenate([matrix, (fixed - matrix @ fixed)[:, None]], 1)
     size = (PIECE_PX, PIECE_PX)
     picture = cv2.warpAffine(scene.picture, matrix, size, borderMode=cv2.BORDER_REFLECT_101)
     sides = sides * stretch

@@ -1,6 +1,7 @@
 """Training batches of drawn pictures with words, augmented differently each time."""
 
 # mypy: disallow-subclassing-any=False
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,17 +14,16 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from operators.saliency.text.anchors import candidates, centres, uncounted
-from operators.saliency.text.examples import CONTEXT_PX, INPUT_PX, KEPT_PX
+from operators.saliency.text.examples import INPUT_PX, KEPT_PX
 from operators.saliency.text.quads import areas, turned
 from operators.saliency.text.streets import Picture
-from operators.training.arrays import read
+from operators.training.arrays import mapped, read
 from operators.training.device import moved
 from operators.training.loading import in_sentences
 from operators.training.photometric import degrade, recolour
 from pipeline.errors import DriverError
 
 FILL = 114
-BAR_PX = (INPUT_PX[1] - CONTEXT_PX[1]) // 2  # where the operator's letterbox is grey
 LEAST_HEIGHT_PX = 1.3  # of a word that must be found
 ANCHORS = centres(*INPUT_PX)
 
@@ -84,7 +84,7 @@ class Words(Dataset[Example]):
 
     def _picture(self, path: Path, rng: np.random.Generator) -> Picture:
         if path not in self._open:
-            self._open[path] = _pictures(path.with_suffix(".npy")), dict(read(path))
+            self._open[path] = mapped(path), dict(read(path))
         pictures, truth = self._open[path]
         row = int(rng.integers(len(pictures)))
         first = truth["first"]
@@ -108,8 +108,9 @@ def augment(picture: Picture, rng: np.random.Generator) -> Picture:
     pixels = _shrunk(picture.pixels, matrix, gain)
     pixels = degrade(_weather(recolour(pixels, rng), rng), rng)
     quads = (picture.quads - np.array([x, y], np.float32)) * np.float32(gain)
-    if h > KEPT_PX[1]:
-        pixels[:BAR_PX], pixels[-BAR_PX:] = FILL, FILL
+    bar = math.ceil((h - KEPT_PX[1]) / 2 * gain)
+    if bar > 0:  # no higher than what is missing: words beside it are to be found
+        pixels[:bar], pixels[-bar:] = FILL, FILL
     return Picture(pixels=pixels, quads=quads, ignored=picture.ignored)
 
 
@@ -191,10 +192,3 @@ def stream(source: Words, size: int, steps: range, *, workers: int = 1) -> Itera
         multiprocessing_context="spawn",
     )
     yield from in_sentences(loader)
-
-
-def _pictures(path: Path) -> NDArray[np.uint8]:
-    try:
-        return np.load(path, mmap_mode="r")  # type: ignore[no-any-return]
-    except (OSError, EOFError, ValueError) as error:
-        raise DriverError(f"{path}: expected pictures, got {error}") from error

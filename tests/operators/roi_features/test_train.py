@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,6 +98,27 @@ def test_a_crop_changes_but_keeps_its_shape_and_its_seed() -> None:
     assert one.dtype == np.uint8
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
+
+
+class Middling(np.random.Generator):
+    """Draws the middle of every range, and no rare event."""
+
+    def __init__(self) -> None:
+        super().__init__(np.random.PCG64(1))
+
+    def uniform(self, low: float = 0, high: float = 1, size: int | None = None) -> Any:  # type: ignore[override]
+        return np.full(size, (low + high) / 2) if size else (low + high) / 2
+
+    def random(self, *_: object) -> Any:  # type: ignore[override]
+        return 0.99
+
+
+def test_a_mirrored_crop_has_all_its_pixels() -> None:
+    picture = crops_of(scenes=1, seed=2).pictures[0]
+
+    plain, turned = (changed(picture, 1, Middling(), mirror=mirror) for mirror in (False, True))
+
+    assert np.array_equal(turned, plain[:, ::-1])
 
 
 def test_crops_of_one_scene_are_relit_alike() -> None:

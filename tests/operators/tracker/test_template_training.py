@@ -3,6 +3,7 @@
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -138,6 +139,28 @@ def test_the_box_of_an_object_some_moments_later_is_around_it(monkeypatch, smear
     assert (shapes.std(0) > 1).all()  # none is as it was
     blurred = [np.abs(np.diff(s.picture[..., 0].astype(int), axis=1)).max() for s in later]
     assert (np.median(blurred) < 150) == bool(smeared)
+
+
+class Stretched(np.random.Generator):
+    """Doubles what is stretched; turns and smears nothing."""
+
+    def __init__(self) -> None:
+        super().__init__(np.random.PCG64(1))
+
+    def normal(self, loc: float = 0, scale: float = 1, size: int | None = None) -> Any:  # type: ignore[override]
+        return np.log([2.0, 2.0]) if size else 0.0
+
+    def random(self, *_: object) -> Any:  # type: ignore[override]
+        return 0.99
+
+
+def test_a_stretched_object_stays_in_the_middle_of_its_box():
+    later = changed(person(60), Stretched())
+
+    light = later.picture[..., 0].astype(float) - later.picture[0, 0, 0]
+    rows, columns = np.indices(light.shape) + 0.5
+    middle = [(light * columns).sum() / light.sum(), (light * rows).sum() / light.sum()]
+    np.testing.assert_allclose(middle, centres(later.box), atol=0.2)
 
 
 def test_a_made_up_moment_is_another_one_also_without_the_object(monkeypatch):

@@ -188,6 +188,23 @@ def test_words_stay_on_their_pixels_when_a_picture_is_augmented() -> None:
             assert light[middle[1], middle[0]] >= np.quantile(light[8:-8], 0.9)
 
 
+def test_of_a_picture_that_is_nearly_whole_no_more_is_grey_than_is_missing() -> None:
+    white = np.full((KEPT_PX[1], KEPT_PX[0], 3), 255, np.uint8)
+    told = Picture(
+        pixels=white, quads=np.zeros((0, 4, 2), np.float32), ignored=np.zeros(0, np.bool_)
+    )
+    seed = 1  # the first whose part is a little lower than what the input shows
+
+    seen = augment(told, np.random.default_rng(seed))
+
+    rng = np.random.default_rng(seed)
+    assert rng.random() >= 0.45
+    share = np.exp(rng.uniform(np.log(0.45), 0))
+    missing = (INPUT_PX[1] - KEPT_PX[1] * INPUT_PX[0] / (KEPT_PX[0] * share)) / 2
+    assert 0 < missing < 5
+    assert (seen.pixels == 114).all((1, 2)).sum() == 2 * np.ceil(missing)
+
+
 def test_wrong_settings_and_missing_pictures_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="stills: expected a folder"):
         TextTrainSettings(data=tmp_path, out=tmp_path, stills=tmp_path / "none")
