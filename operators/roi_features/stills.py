@@ -30,12 +30,12 @@ from operators.roi_features.data import (
     free,
 )
 from operators.roi_features.model import CLASSES
-from operators.training.arrays import outdated, write
+from operators.training.arrays import claim, outdated, write
 from operators.training.identity import Identity, of_code
 from operators.training.progress import each_of
 from operators.training.splits import HELD_OUT
 from operators.training.stills import CLASSES as KINDS
-from operators.training.stills import class_names, labelled, pictures_of
+from operators.training.stills import class_names, contents, labelled, pictures_of
 from pipeline.errors import DriverError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
@@ -145,16 +145,21 @@ def made_with() -> dict[str, str]:
 def prepare(folder: Path, stills: Iterable[Path], phase: str) -> list[Path]:
     """Write missing crops of the stills of some folders; those held out are never read.
 
-    Raises `DriverError` for a folder without labelled stills.
+    Those of a folder are made again where any of its stills, labels or names of classes changed.
+    Raises `DriverError` for a folder without labelled stills, and for two stills of one name.
     """
-    made, wanted = made_with(), list[Path]()
+    wanted = dict[Path, Path]()
     folder.mkdir(parents=True, exist_ok=True)
-    for place in stills:
-        files = {folder / f"{place.name}_{path.stem}.npz": path for path in of_training(place)}
+    for place in dict.fromkeys(stills):
+        found = of_training(place)
+        first = len(wanted)  # people of two stills with one number would be taken for the same
+        made = made_with() | {"stills": contents(found), "first": str(first)}
+        for path in found:
+            claim(wanted, folder / f"{place.name}_{path.stem}.npz", path)
+        files = dict(list(wanted.items())[first:])
         if outdated(files, made, print):
-            write_all(files, class_names(place / "data.yaml"), len(wanted), made, phase)
-        wanted += files
-    return wanted
+            write_all(files, class_names(place / "data.yaml"), first, made, phase)
+    return list(wanted)
 
 
 def write_all(

@@ -5,8 +5,9 @@ in a look. Two pieces of the same object make a pair: of a scene at two moments;
 piece twice, for motion that is made up.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,14 +19,15 @@ from drivers.datasets.pictures import read_picture
 from drivers.datasets.video import VideoFile
 from drivers.scenes.soccer import SoccerScene
 from operators.tracker.look import size_of
-from operators.training.arrays import Arrays, outdated, read, write
-from operators.training.identity import Identity, of_code
+from operators.training.arrays import Arrays, claim, outdated, read, write
+from operators.training.identity import DIGITS, Identity, of_code
 from operators.training.progress import tracked
 from operators.training.splits import HELD_OUT
 from operators.training.stills import PICTURES, labels_of, read_rows
 from operators.training.workers import pool_of
 from pipeline.boxes import centres, from_centres
 from pipeline.errors import DriverError
+from pipeline.fleet.placement import file_digest
 
 PIECE_PX, ACROSS = 224, 7  # side of a piece, and how many sizes of the object that is
 TRAIN_SEEDS = 33_000  # no other part of the project uses them
@@ -72,18 +74,22 @@ def piece(picture: Picture, box: Box) -> tuple[Picture, Box, float]:
 def prepare(
     folder: Path, scenes: int, moments: int, stills: tuple[Path, ...], phase: str, workers: int = 1
 ) -> list[Path]:
-    """Make missing files of pieces; raises `DriverError` for a source that cannot be read."""
-    made = of_code("operators.tracker.pieces", "drivers.scenes.soccer:SoccerScene")
+    """Make missing files of pieces, and those of pictures or labels that changed.
+
+    Raises `DriverError` for a source that cannot be read, and for two of one name.
+    """
+    code = of_code("operators.tracker.pieces", "drivers.scenes.soccer:SoccerScene")
     wanted: dict[Path, int | Path] = {}
     for seed in range(TRAIN_SEEDS, TRAIN_SEEDS + scenes):
         wanted[folder / f"scene_{seed}_{moments}.npz"] = seed
     for place in stills:
         for path in sources_of(place):
-            wanted[folder / f"{place.parent.name}_{place.name}_{path.stem}.npz"] = path
+            claim(wanted, folder / f"{place.parent.name}_{place.name}_{path.stem}.npz", path)
     folder.mkdir(parents=True, exist_ok=True)
-    missing = outdated(wanted, made, print)
+    made = {file: code | _contents(source) for file, source in wanted.items()}
+    missing = outdated(wanted, made.__getitem__, print)
     with pool_of(workers) as pool:
-        jobs = [pool.submit(_cut, path, wanted[path], moments, made) for path in missing]
+        jobs = [pool.submit(_cut, path, wanted[path], moments, made[path]) for path in missing]
         for job in tracked(jobs, phase):
             job.result()
     return list(wanted)
@@ -93,6 +99,23 @@ def _cut(path: Path, source: int | Path, moments: int, made: Identity) -> None:
     cv2.setNumThreads(1)
     found = of_scene(source, moments) if isinstance(source, int) else of_source(source)
     write_pieces(path, found, made)
+
+
+def contents(stills: Iterable[Path]) -> str:
+    """What is in all sources of some folders, as a text that differs where they differ."""
+    known = [
+        path.name + _contents(path)["source"] for place in stills for path in sources_of(place)
+    ]
+    return f"{len(known)} files, {sha256(''.join(known).encode()).hexdigest()[:DIGITS]}"
+
+
+def _contents(source: int | Path) -> dict[str, str]:
+    """What a file of pieces is made of, besides code: a picture and its labels, or a video."""
+    if isinstance(source, int):
+        return {}
+    labels = labels_of(source)
+    known = file_digest(source) + (file_digest(labels) if labels.is_file() else "")
+    return {"source": sha256(known.encode()).hexdigest()[:DIGITS]}
 
 
 def sources_of(place: Path) -> list[Path]:

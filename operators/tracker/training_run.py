@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from operators.tracker.batches import Batch, Batches, normalised, stream
 from operators.tracker.model import Deployed, TemplateNet
-from operators.tracker.pieces import NEVER_READ, TRAIN_SEEDS, prepare
+from operators.tracker.pieces import NEVER_READ, TRAIN_SEEDS, contents, prepare
 from operators.tracker.template import INPUTS, OUTPUTS
 from operators.tracker.training_settings import TrainSettings
 from operators.training import checkpoint
@@ -60,6 +60,8 @@ class Run(checkpoint.Progress):
         )
         parts = {"net": self.net, "average": self.average, "optimiser": self.optimiser}
         told = {"stills": " ".join(sorted(place.name for place in settings.stills))}
+        if settings.stills:
+            told["pictures"] = contents(settings.stills)
         super().__init__(settings.out, parts, of_settings(settings, "stills") | told)
 
     def follow(self) -> None:

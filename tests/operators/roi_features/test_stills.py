@@ -17,7 +17,7 @@ from operators.training.stills import class_names
 from pipeline.errors import DriverError
 from pipeline.messages import Detections
 from pipeline.testing import header
-from tests.operators.training.labelled_stills import match_of_stills, write_still
+from tests.operators.training.labelled_stills import match_of_stills, write_names, write_still
 
 BALL, BACKGROUND = CLASSES.index("ball"), CLASSES.index("background")
 
@@ -89,3 +89,33 @@ def test_somebody_costs_nothing_as_a_player_or_a_referee_and_much_as_a_ball() ->
     loss = [float(class_loss(sure[[k]], torch.tensor([ANYONE]))) for k in range(len(CLASSES))]
 
     assert max(loss[0], loss[1]) < 0.01 < 10 < min(loss[BALL], loss[BACKGROUND])
+
+
+def test_crops_follow_labels_and_names_that_were_corrected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = match_of_stills(tmp_path / "match", "aa_1")
+    prepare(tmp_path / "crops", (folder,), "stills")
+    labels = folder / "labels" / "aa_1.txt"
+    labels.write_text("".join(labels.read_text().splitlines(keepends=True)[:2]))  # two people less
+
+    crops = load(prepare(tmp_path / "crops", (folder,), "stills"))
+
+    assert (crops.kinds == ANYONE).sum() == 2
+    write_names(folder, "ball", "goalkeeper", "ball", "referee")
+    assert not (load(prepare(tmp_path / "crops", (folder,), "stills")).kinds == ANYONE).any()
+    assert capsys.readouterr().out.count("made anew: other stills (1 file)") == 2
+
+
+def test_stills_of_two_folders_have_numbers_and_files_of_their_own(tmp_path: Path) -> None:
+    first, second = (match_of_stills(tmp_path / name, "aa_1") for name in ("one", "two"))
+    prepare(tmp_path / "crops", (first, second), "stills")
+    write_still(first, "aa_2", [(2, 300, 250, 24, 60)])
+
+    crops = load(prepare(tmp_path / "crops", (first, second), "stills"))
+
+    persons = np.stack([crops.scenes, crops.persons], 1)[crops.kinds == ANYONE]
+    assert (np.unique(persons, axis=0, return_counts=True)[1] == 2).all()
+    alike = match_of_stills(tmp_path / "elsewhere" / "one", "aa_1")
+    with pytest.raises(DriverError, match=r"one_aa_1\.npz; rename one of them, or its folder"):
+        prepare(tmp_path / "crops", (first, alike), "stills")
