@@ -71,8 +71,13 @@ def labels_of(picture: Path) -> Path:
 
 
 def contents(files: Sequence[Path]) -> str:
-    """What is in pictures and their labels, as a text that differs where they differ."""
+    """What is in pictures, their labels and `data.yaml`, as a text that differs where they differ.
+
+    The last says what the labels' numbers mean.
+    """
     known = [file.name + file_digest(file) + file_digest(labels_of(file)) for file in files]
+    folders = dict.fromkeys(file.parent.parent / "data.yaml" for file in files)
+    known += [file_digest(names) for names in folders if names.is_file()]
     return f"{len(files)} files, {sha256(''.join(known).encode()).hexdigest()[:16]}"
 
 

@@ -22,6 +22,7 @@ from operators.saliency.training_settings import HEADS
 from pipeline import SettingsError
 from pipeline.errors import DriverError
 from tests.operators.training.elsewhere import PLACE, pretended
+from tests.operators.training.labelled_stills import match_of_stills, write_names
 
 
 def settings_in(folder: Path, device: str = "cpu") -> TrainSettings:
@@ -131,6 +132,17 @@ def test_a_training_on_other_footage_is_refused(tmp_path: Path) -> None:
     for other in ((there,), (here, here)):
         with pytest.raises(SettingsError, match=r"^data: this folder's training has 1 files, "):
             Run(replace(settings, data=other)).resume()
+
+
+def test_a_training_on_stills_whose_classes_were_renamed_is_refused(tmp_path: Path) -> None:
+    folder = match_of_stills(tmp_path / "match", "aa_1")
+    settings = replace(settings_in(tmp_path), stills=(folder,))
+    Run(settings).save()
+
+    write_names(folder, "ball", "referee", "player", "player")
+
+    with pytest.raises(SettingsError, match=r"^stills: this folder's training has 1 files, "):
+        Run(settings).resume()
 
 
 def test_files_beside_those_of_the_drawn_scenes_are_ignored(tmp_path: Path) -> None:
