@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -9,7 +10,7 @@ import torch
 
 from operators.training.identity import Identity, differing
 from pipeline.errors import SettingsError, WeightsError
-from pipeline.whole_file import whole_file
+from pipeline.whole_file import write_whole
 
 EVERY_S = 30.0  # a crash loses less than a minute, including repeated roll-outs
 
@@ -36,8 +37,9 @@ class Progress:
         """Write everything."""
         facts = {"step": self.step, "elapsed_s": self.elapsed_s, "settings": self.identity}
         parts = {name: part.state_dict() for name, part in self.parts.items()}
-        with whole_file(self.path) as file:
-            torch.save(parts | facts, file)
+        whole = BytesIO()  # into a file on a full disk, torch raises no OSError but its own error
+        torch.save(parts | facts, whole)
+        write_whole(self.path, whole.getvalue())
         self._saved_s = time.monotonic()
 
     def save_when_due(self) -> None:

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Mapping
 from copy import deepcopy
+from io import BytesIO
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,6 +11,8 @@ import onnx
 import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+from pipeline.whole_file import write_whole
 
 Net = TypeVar("Net", bound=nn.Module)
 OPSET = 17
@@ -26,31 +29,36 @@ def write(
 ) -> None:
     """Trace a network, wherever it is, with example inputs; `facts` become metadata.
 
-    `open_sides` names the sides of inputs and outputs that may vary.
+    `open_sides` names the sides of inputs and outputs that may vary. The file is whole or, on a
+    full disk, what it was before.
     """
+    whole = BytesIO()
     with warnings.catch_warnings():
         # the older exporter keeps the parameters' names, by which they can be loaded back
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(
             deepcopy(module).cpu().eval(),
             tuple(given.values()),
-            path,
+            whole,
             input_names=list(given),
             output_names=list(outputs),
             dynamic_axes={name: dict(sides) for name, sides in (open_sides or {}).items()},
             opset_version=OPSET,
             dynamo=False,
         )
-    if facts:
-        describe(path, facts)
+    model = onnx.load_from_string(whole.getvalue())
+    _write(model, path, facts)
 
 
 def describe(path: Path, facts: Mapping[str, str]) -> None:
     """Add facts to a network's metadata; those of the same name are replaced."""
-    model = onnx.load(path)
+    _write(onnx.load(path), path, facts)
+
+
+def _write(model: onnx.ModelProto, path: Path, facts: Mapping[str, str]) -> None:
     known = {p.key: p.value for p in model.metadata_props}
     onnx.helper.set_model_props(model, known | dict(facts))
-    onnx.save(model, path)
+    write_whole(path, model.SerializeToString())
 
 
 def fused(net: Net) -> Net:

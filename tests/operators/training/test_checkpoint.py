@@ -12,6 +12,7 @@ from torch import nn
 from operators.training import checkpoint
 from operators.training.checkpoint import Progress
 from pipeline import SettingsError, WeightsError
+from tests.operators.training.full_disk import full_disk
 
 TOLD = {"seed": "1", "rate": "0.001"}
 
@@ -102,3 +103,14 @@ def test_a_file_that_is_no_checkpoint_is_refused(tmp_path: Path, left: int, got:
 
     with pytest.raises(WeightsError, match=rf"\.pt: expected a state dict of tensors, got ({got})"):
         progress(tmp_path).resume()
+
+
+def test_a_full_disk_is_told_as_such_and_leaves_the_checkpoint_before(tmp_path: Path) -> None:
+    first = progress(tmp_path, sides=4000)
+    first.save()
+    before = first.path.read_bytes()
+
+    with full_disk(), pytest.raises(OSError, match="File too large"):
+        first.save()
+
+    assert first.path.read_bytes() == before
