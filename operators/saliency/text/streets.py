@@ -158,7 +158,8 @@ def _stick(pixels: Pixels, made: Board, target: NDArray[np.float32]) -> NDArray[
     flat = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
     matrix = cv2.getPerspectiveTransform(flat, target)
     if (high > low).all():
-        move = np.array([[1, 0, -low[0]], [0, 1, -low[1]], [0, 0, 1]], np.float64) @ matrix
+        # corners are of edges; OpenCV maps pixels by their number, whose centres lie at halves
+        move = _moved(-low - 0.5) @ matrix @ _moved(np.full(2, 0.5))
         size = (int(high[0] - low[0]), int(high[1] - low[1]))
         part = pixels[low[1] : high[1], low[0] : high[0]]
         if made.alpha.min() == 255:  # much faster, and most are
@@ -174,6 +175,10 @@ def _stick(pixels: Pixels, made: Board, target: NDArray[np.float32]) -> NDArray[
     if not len(made.quads):
         return made.quads
     return np.asarray(cv2.perspectiveTransform(made.quads, matrix), np.float32)
+
+
+def _moved(by: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([[1, 0, by[0]], [0, 1, by[1]], [0, 0, 1]], np.float64)
 
 
 def _meets(box: NDArray[np.float32], taken: NDArray[np.float32]) -> bool:

@@ -12,8 +12,8 @@ pytest.importorskip("PIL", reason="needs the text extra")
 from operators.saliency.text.examples import KEPT_PX, PICTURES, draw
 from operators.saliency.text.examples import drawn as drawn_parts
 from operators.saliency.text.quads import areas, upright
-from operators.saliency.text.streets import FULL_PX, Picture, _share, backdrop, street
-from operators.saliency.text.words import board
+from operators.saliency.text.streets import FULL_PX, Picture, _share, _stick, backdrop, street
+from operators.saliency.text.words import Board, board
 
 
 def drawn(seed: int) -> Picture:
@@ -40,6 +40,23 @@ def test_the_ink_of_a_board_is_inside_its_words() -> None:
             found += 1
 
     assert found > 3
+
+
+@pytest.mark.parametrize("opaque", [True, False])
+def test_words_of_an_enlarged_board_lie_where_their_corners_are(opaque: bool) -> None:
+    pixels, street = np.zeros((60, 80, 3), np.uint8), np.zeros((*FULL_PX[::-1], 3), np.uint8)
+    pixels[20:40, 30:50] = 255
+    alpha = np.full((60, 80), 255, np.uint8)
+    alpha[0, 0] = 255 if opaque else 0
+    words = np.array([[[30, 20], [50, 20], [50, 40], [30, 40]]], np.float32)
+    target = np.array([[100, 100], [420, 100], [420, 340], [100, 340]], np.float32)
+
+    (quad,) = _stick(street, Board(pixels=pixels, alpha=alpha, quads=words), target)
+
+    light = street[..., 0] / street[..., 0].sum()
+    rows, columns = np.indices(light.shape) + 0.5
+    middle = [(light * columns).sum(), (light * rows).sum()]
+    np.testing.assert_allclose(middle, quad.mean(0), atol=0.1)
 
 
 def test_words_that_are_wanted_are_in_the_picture() -> None:
