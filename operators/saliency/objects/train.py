@@ -13,7 +13,7 @@ import click
 import numpy as np
 
 from operators.saliency.objects.data import CHECK_SEEDS, TRAIN_SEEDS, Boxes, maps_of, pictures
-from operators.training.command_line import GOES_ON, in_a_sentence
+from operators.training.command_line import in_a_sentence
 from operators.training.progress import Phases, bar, tracked
 from pipeline.extras import need
 
@@ -38,7 +38,7 @@ def command(
     out: Path, trials: int, count: int, iterations: int, batch: int, seed: int, threads: int
 ) -> None:
     """Train the robot's detector of objects."""
-    with in_a_sentence(GOES_ON):
+    with in_a_sentence("interrupted; repeat the command to begin anew"):
         need("torch", "train")
         train(out, trials, count, iterations, batch, seed, threads)
 

@@ -9,8 +9,10 @@ import pytest
 pytest.importorskip("torch", reason="needs the train extra")
 pytest.importorskip("onnx", reason="needs the train extra")
 import torch
+from click.testing import CliRunner
 
 from operators.saliency import Saliency, SaliencySettings
+from operators.saliency.objects import train
 from operators.saliency.objects.data import CONTEXT_PX, maps_of, pictures
 from operators.saliency.objects.model import CELL_PX, INPUT_PX, ObjectNet, export, loss_of
 from pipeline import Frame, Geometry, Header
@@ -31,6 +33,20 @@ def test_maps_tell_the_boxes_at_and_around_their_centres() -> None:
     assert told[:, 10, 7].tolist() == [14, 21, 8, 2]
     assert weight.sum() > 2
     assert not maps_of(BOXES[:, [0, 1, 0, 3]], SIZE, CELL_PX)[0].any()  # without a width
+
+
+def test_an_interrupted_training_says_that_it_begins_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train, "train", interrupted)
+
+    done = CliRunner().invoke(train.command, ["--out", str(tmp_path)])
+
+    assert done.exit_code == 130
+    assert "interrupted; repeat the command to begin anew" in done.output
 
 
 def test_the_loss_falls_on_one_picture_until_its_objects_are_found(tmp_path: Path) -> None:
