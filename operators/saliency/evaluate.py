@@ -195,6 +195,8 @@ def main(words: Sequence[str] | None = None) -> None:
     )  # fmt: skip
     parser.add_argument("--json", type=Path, help="write the figures here")
     given = parser.parse_args(words)
+    if given.stills and not given.choose:  # else the figures would be taken for those of the stills
+        parser.error("--stills: expected --choose as well; figures are of scenes, or of --data")
     if given.choose:
         need("onnx", "--choose")
     settings = SaliencySettings(

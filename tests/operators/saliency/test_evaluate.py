@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("onnx", reason="needs the train extra")
 
-from operators.saliency.evaluate import choose, collect, development, scenes, shrunk
+from operators.saliency.evaluate import choose, collect, development, main, scenes, shrunk
 from operators.saliency.judging import (
     Tally,
     at_threshold,
@@ -132,6 +132,15 @@ def test_thresholds_are_chosen_on_stills_for_development_alone(tmp_path: Path) -
     assert len(found) == 1
     assert found[0].picture.shape == (270, 480, 3)
     assert np.allclose(found[0].boxes[1], [144, 110, 156, 140])
+
+
+def test_stills_to_choose_on_are_refused_where_nothing_is_chosen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["--stills", str(match_of_stills(tmp_path, "08fd33_1"))])
+
+    assert "--stills: expected --choose as well" in capsys.readouterr().err
 
 
 def test_a_chosen_confidence_of_the_ball_is_that_of_its_place(tmp_path: Path) -> None:
