@@ -234,7 +234,7 @@ def tasks(
             raise RunError(
                 f"{recordings[0].path.parent}: expected clips in whose first part a "
                 f"{', a '.join(TARGETS[:-1])} or a {TARGETS[-1]} is visible, got "
-                f"{', '.join(sorted(labels)) or 'nothing'}; give another scene, or longer clips"
+                f"{', '.join(sorted(labels)[:8]) or 'nothing'}; give another scene, or longer clips"
             )
         misses += 1
         clip = int(rng.integers(len(recordings)))
