@@ -25,6 +25,10 @@ from pipeline.text import harmless
 
 DIFFERENT = 1  # exit status of --verify when a message differs
 PACE = click.Choice(["flat", "own", "step"])
+LOST = {  # what a recorder counts -> in words
+    "dropped": "not written: the disk is slow or full", "refused": "could not be encoded",
+    "passed": "passed through the ring",
+}  # fmt: skip
 LIMIT_MB, LIMIT_S = Finite(0.1, 1e9), Finite(0.1, 1e9)
 
 
@@ -48,8 +52,9 @@ def record_command(
     """Record outputs of a running graph to an MCAP file, until it ends or Ctrl-C."""
     path = out or Path(f"{Path(graph).stem}.mcap")
     try_recording(path, "--out")
-    if path.exists():
-        raise SettingsError(f"--out {path}: expected a new file, got one that exists")
+    if path.exists() or path.is_symlink():
+        got = "one that exists" if path.exists() else "a link"
+        raise SettingsError(f"--out {path}: expected a new file, got {got}")
     if inline:
         if edges or duration_s or file_mb or file_s or ring_s or compression:
             raise click.UsageError(
@@ -68,11 +73,12 @@ def record_command(
     given = {"file_mb": file_mb, "file_s": file_s, "ring_s": ring_s, "compression": compression}
     with signals.Interruption() as asked:
         what = recorder.chosen(client, edges)
-        recorder.begin(client, path, what, {k: v for k, v in given.items() if v})
-        click.echo(f"{graph}: recording {len(what.inputs)} outputs to {path}; Ctrl-C ends it")
-        found = recorder.follow(client, duration_s or 0.0, asked.asked, _line())
-    _print_accounts(found.accounts)
-    _print_files([Path(file) for file in found.files] or [path])
+        values = {name: value for name, value in given.items() if value}
+        with recorder.begun(client, path, what, values) as before:
+            click.echo(f"{graph}: recording {len(what.inputs)} outputs to {path}; Ctrl-C ends it")
+            found = recorder.follow(client, path, duration_s or 0.0, asked.asked, _line(), before)
+    _print_counts(found)
+    _print_files([Path(file) for file in found.files])
     if found.failure:
         raise RunError(f"{graph}: goes on; the recording ended: {found.failure}")
 
@@ -199,13 +205,16 @@ def _line() -> Callable[[list[EdgeState]], None]:
     return show
 
 
-def _print_accounts(accounts: list[EdgeState]) -> None:
-    for edge in accounts:
-        lost = {name: n for name, n in edge.account["dropped"].items() if n}
+def _print_counts(found: recorder.Outcome) -> None:
+    """Print by output how many messages the files have, and what was lost on the way there."""
+    for edge in found.accounts:
+        output = edge.origin if "." in edge.origin else f"{edge.origin}.out"
+        counts = found.outputs.get(output, {"recorded": edge.account["delivered"]})
+        lost = {name: n for name, n in edge.account["dropped"].items() if n} | {
+            words: counts[name] for name, words in LOST.items() if counts.get(name)
+        }
         told = ", ".join(f"{n} {name}" for name, n in lost.items())
-        click.echo(
-            f"{edge.origin}: {edge.account['delivered']} messages" + (f"; {told}" if told else "")
-        )
+        click.echo(f"{edge.origin}: {counts['recorded']} messages" + (f"; {told}" if told else ""))
 
 
 def _print_files(files: list[Path]) -> None:

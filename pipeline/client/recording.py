@@ -7,8 +7,9 @@ the graph's accounts. Of an output with a lossless reader, up to `DEPTH` message
 import json
 import tempfile
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,10 @@ from pipeline.errors import FoveaError, RunError
 from pipeline.graph.loader import Sent
 from pipeline.graph.plan import Plan, load_operator
 from pipeline.protocol.fleet import EdgeState
+from pipeline.recording.reader import counts_at_end
+from pipeline.recording.recorder import total
 from pipeline.settings import suggest
+from pipeline.text import harmless
 
 OPERATOR = "operators.record:Record"
 NODE = "record"
@@ -72,8 +76,26 @@ def chosen(client: LocalGraph, wanted: Sequence[str]) -> Chosen:
     return found
 
 
+@contextmanager
+def begun(
+    client: LocalGraph, path: Path, what: Chosen, settings: dict[str, Any]
+) -> Iterator[list[str]]:
+    """Add the recorder to the graph, and remove it after any outcome.
+
+    Yields the files that look like parts of the recording and were there before. Raises
+    `FoveaError` when the graph refuses it.
+    """
+    before = parts(path)
+    begin(client, path, what, settings)
+    try:
+        yield before
+    finally:
+        _remove(client)
+
+
 def begin(client: LocalGraph, path: Path, what: Chosen, settings: dict[str, Any]) -> None:
     """Add the recorder to the graph; raises `FoveaError` when the graph refuses it."""
+    _check_alone(client)
     inputs = {
         name: {"from": output.removesuffix(".out"), "depth": DEPTH}
         | ({"keep": "every"} if name in what.every else {})
@@ -95,31 +117,79 @@ class Outcome(msgspec.Struct):
 
     accounts: list[EdgeState] = []  # of the recorder's edges
     files: list[str] = []
+    outputs: dict[str, dict[str, int]] = {}  # what the recorder counted, by node.output
     failure: str = ""  # why it could not be written to its end
 
 
 def follow(
-    client: LocalGraph, duration_s: float, asked: Callable[[], int],
-    show: Callable[[list[EdgeState]], None],
+    client: LocalGraph, path: Path, duration_s: float, asked: Callable[[], int],
+    show: Callable[[list[EdgeState]], None], before: Sequence[str] = (),
 ) -> Outcome:  # fmt: skip
     """Wait for the duration (0: none), a signal, a failure or the end of the graph.
 
-    Then the recorder is removed; the graph continues.
+    Then the recorder is removed; the graph continues. `path`: as `begin` was given it; `before`:
+    files beside it of other recordings.
     """
-    began_s, found, looks = time.monotonic(), Outcome(), 0
+    began_s, found, looks = time.monotonic(), Outcome(files=[str(path.absolute())]), 0
     while not asked() and not (duration_s and time.monotonic() - began_s >= duration_s):
         time.sleep(LOOK_S)
         looks += 1
         with suppress(RunError):
             found.accounts = accounts_of(client)
         if not client.runs():
-            return found
+            break
         show(found.accounts)
         if looks % ASK_LOOKS == 0 and _told(client, found).failure:
             break
-    _told(client, found)
-    when_free(lambda: client.remove(NODE))
+    if client.runs():
+        _told(client, found)
+        _remove(client)
+    return _ended(found, [file for file in parts(path) if file not in before])
+
+
+def parts(path: Path) -> list[str]:
+    """Return the files that there are of a recording, in the order in which they were begun."""
+    path = path.absolute()
+    numbered = {}
+    for file in path.parent.glob(f"{escape(path.stem)}-*{escape(path.suffix)}"):
+        number = file.stem.removeprefix(f"{path.stem}-")
+        if number.isdecimal() and number.isascii():
+            numbered[int(number)] = str(file)
+    return [str(path)] * path.exists() + [numbered[number] for number in sorted(numbered)]
+
+
+def _ended(found: Outcome, files: list[str]) -> Outcome:
+    """Add what was written after the recorder was asked last: further files, the last counts."""
+    found.files = files or found.files
+    if files and not found.failure:
+        outputs = counts_at_end(Path(files[-1]))
+        if outputs is None:
+            found.failure = f"{files[-1]}: not written to its end; its whole chunks can be read"
+        else:  # of a ring the file can be older than the answer
+            found.outputs = max(outputs, found.outputs, key=lambda one: sum(total(one).values()))
     return found
+
+
+def _check_alone(client: LocalGraph) -> None:
+    """Raise `RunError` where the graph has a recorder, as one whose command was killed."""
+    nodes = {node.name: node for node in plan_of(client).nodes}
+    if NODE in nodes:
+        path = harmless(str(nodes[NODE].settings.get("path", "")))
+        raise RunError(
+            f"{client.name}: expected no node {NODE}, got one"
+            + (f", which records to {path}" if path else "")
+            + f"; `fovea remove {client.name} {NODE}` ends it"
+        )
+
+
+def _remove(client: LocalGraph) -> None:
+    """Remove the recorder, unless it or its graph has ended."""
+    try:
+        if client.runs() and NODE in client.nodes():
+            when_free(lambda: client.remove(NODE))
+    except FoveaError:
+        if client.runs():
+            raise
 
 
 def _told(client: LocalGraph, found: Outcome) -> Outcome:
@@ -127,6 +197,7 @@ def _told(client: LocalGraph, found: Outcome) -> Outcome:
     with suppress(FoveaError):
         said = client.command(NODE, "figures", {}).answer
         found.files, found.failure = list(said["files"]), str(said["failure"])
+        found.outputs = dict(said["outputs"])
     return found
 
 

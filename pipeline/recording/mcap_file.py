@@ -15,6 +15,7 @@ from typing import IO
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap.exceptions import McapError
+from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
@@ -209,6 +210,17 @@ class McapChunks:
                 topic = self._topics[record.channel_id]
                 found.append(Item(topic, record.log_time, record.sequence, record.data))
         return found
+
+
+def last(path: Path, topic: str) -> bytes:
+    """Return the last message of a channel, found by the index; empty for a file without either."""
+    try:
+        with path.open("rb") as stream:
+            reader = SeekingReader(stream, record_size_limit=MOST_RECORD_BYTES)
+            found = next(reader.iter_messages(topics=[topic], reverse=True), None)
+    except (*BROKEN, OSError, MemoryError):
+        return b""
+    return found[2].data if found else b""
 
 
 def plain(chunk: Chunk) -> Chunk:

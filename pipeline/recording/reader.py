@@ -11,7 +11,7 @@ import msgspec
 
 from pipeline.errors import MessageError, RunError
 from pipeline.messages import Message, altered
-from pipeline.recording.mcap_file import Item, McapChunks
+from pipeline.recording.mcap_file import Item, McapChunks, last
 from pipeline.recording.records import ENCODING, FACTS, IMAGE, READ, message_of, output_of
 
 MOST_MESSAGES = 20_000_000
@@ -90,6 +90,12 @@ class Recording:
             self.messages.setdefault(output_of(name), {})[exposure] = place, image
             self.schemas[output_of(name)] = item.topic.schema_name
             self.exposures.setdefault(exposure, item.log_ns)
+
+
+def counts_at_end(path: Path) -> dict[str, dict[str, int]] | None:
+    """Return what the recorder had counted by output when it ended a file; None: it did not."""
+    end = _json(last(path, f"{FACTS}end"))
+    return end.get("accounts") if isinstance(end, dict) else None
 
 
 def _json(data: bytes) -> Any:

@@ -44,7 +44,7 @@ def record(graph: str, path: Path, outputs: tuple[str, ...] = ()) -> recording.O
     client = find(graph)
     assert isinstance(client, LocalGraph)
     recording.begin(client, path, recording.chosen(client, outputs), {})
-    return recording.follow(client, 1.0, lambda: 0, lambda _accounts: None)
+    return recording.follow(client, path, 1.0, lambda: 0, lambda _accounts: None)
 
 
 @pytest.mark.lengthy
@@ -125,7 +125,7 @@ def test_a_setting_that_is_changed_is_recorded_with_the_time_of_the_change(tmp_p
         recording.begin(client, path, recording.chosen(client, ()), {})
         began_ns = time.time_ns()
         client.configure("ticker", {"rate_hz": 25.0})
-        recording.follow(client, 0.5, lambda: 0, lambda _accounts: None)
+        recording.follow(client, path, 0.5, lambda: 0, lambda _accounts: None)
         return began_ns
 
     def look(supervisor: Supervisor) -> None:

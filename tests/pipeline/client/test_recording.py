@@ -1,0 +1,134 @@
+"""What `fovea record` tells is what its files hold, and its recorder does not stay behind."""
+
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+from click.testing import CliRunner
+
+pytest.importorskip("mcap")
+
+from pipeline import RunError, SettingsError
+from pipeline.cli.recording import record_command
+from pipeline.client import recording
+from pipeline.client.find import find
+from pipeline.client.local import LocalGraph
+from pipeline.recording.reader import Recording
+from pipeline.recording.recorder import Limits, Recorder
+from pipeline.run.supervisor import Supervisor
+from tests.pipeline.recording.test_recorder import frame
+from tests.sample_graphs import CHAIN, beside, go, plan_of, together
+
+TOGETHER = together(CHAIN, "ticker", "count", "glance")
+
+
+class Ended:
+    """A client of a graph that has ended."""
+
+    name = "over"
+
+    def runs(self) -> bool:
+        return False
+
+    def status(self) -> NoReturn:
+        raise RunError("over: the graph has ended")
+
+    def command(self, *_: object) -> NoReturn:
+        raise RunError("over: the graph has ended")
+
+
+def followed(path: Path) -> recording.Outcome:
+    """Return what is told of a recording whose graph ended before the recorder was asked."""
+    client: Any = Ended()
+    return recording.follow(client, path, 0, lambda: 0, lambda _accounts: None)
+
+
+def messages(files: list[str], output: str) -> int:
+    return sum(len(Recording(Path(file)).messages.get(output, {})) for file in files)
+
+
+def test_every_file_of_a_graph_that_ended_is_told_with_its_counts(tmp_path: Path) -> None:
+    path = tmp_path / "a[1].mcap"
+    recorder = Recorder(path, Limits(chunk_bytes=2000, file_bytes=8000))
+    for seq in range(100):
+        recorder.add("capture.context", frame(seq), wait=True)
+    recorder.close()
+
+    found = followed(path)
+
+    assert len(recorder.files) > 10  # also in order behind the ninth
+    assert (found.files, found.failure) == ([str(file) for file in recorder.files], "")
+    assert found.outputs["capture.context"]["recorded"] == 100
+    assert messages(found.files, "capture.context") == 100
+
+
+def test_a_file_without_its_end_is_told_as_a_failure(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    recorder = Recorder(path)
+    recorder.add("capture.context", frame(0), wait=True)
+    recorder.close()
+    path.write_bytes(path.read_bytes()[:-100])
+
+    assert followed(path).failure == f"{path}: not written to its end; its whole chunks can be read"
+
+
+def client_of(name: str) -> LocalGraph:
+    client = find(name)
+    assert isinstance(client, LocalGraph)
+    return client
+
+
+def test_the_counts_that_are_told_are_those_of_the_files(tmp_path: Path) -> None:
+    plan, told = plan_of(tmp_path, TOGETHER), list[recording.Outcome]()
+
+    def record() -> recording.Outcome:
+        client, path = client_of(plan.name), tmp_path / "a.mcap"
+        what = recording.chosen(client, ())
+        with recording.begun(client, path, what, {"file_s": 0.3}):
+            return recording.follow(client, path, 1.0, lambda: 0, lambda _accounts: None)
+
+    def look(supervisor: Supervisor) -> None:
+        told.append(beside(supervisor, record))
+        supervisor.finish()
+
+    go(plan, 0, look)
+
+    (found,) = told
+    assert found.outputs["ticker.roi"]["recorded"] == messages(found.files, "ticker.roi") > 5
+    assert len(found.files) > 1
+
+
+def test_a_second_recorder_is_told_of_the_first_and_a_failure_leaves_none(tmp_path: Path) -> None:
+    plan, paths, left = plan_of(tmp_path, TOGETHER), [tmp_path / n for n in "ab"], list[bool]()
+
+    def record() -> None:
+        client = client_of(plan.name)
+        what = recording.chosen(client, ("ticker.roi",))
+        with recording.begun(client, paths[0], what, {}):
+            recording.begin(client_of(plan.name), paths[1], what, {})
+
+    def look(supervisor: Supervisor) -> None:
+        with pytest.raises(RunError) as refused:
+            beside(supervisor, record)
+        said.append(str(refused.value))
+        left.append("record" in client_of(plan.name).nodes())
+        supervisor.finish()
+
+    said: list[str] = []
+    go(plan, 0, look)
+
+    assert said == [
+        f"{plan.name}: expected no node record, got one, which records to {paths[0]}; "
+        f"`fovea remove {plan.name} record` ends it"
+    ]
+    assert left == [False]
+
+
+def test_a_link_to_no_file_is_refused_as_a_place_for_a_recording(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.symlink_to(tmp_path / "b.mcap")
+
+    done = CliRunner().invoke(record_command, ["tracking", "--inline", "--out", str(path)])
+
+    assert isinstance(done.exception, SettingsError)
+    assert str(done.exception) == f"--out {path}: expected a new file, got a link"
