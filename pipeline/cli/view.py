@@ -1,18 +1,23 @@
 """`fovea view`: watch a running graph in a browser."""
 
 import os
+import signal
 import socket
-from contextlib import suppress
+import sys
+from contextlib import ExitStack, suppress
 from urllib.parse import quote
 
 import click
 
+from pipeline import signals
 from pipeline.cli.arguments import RUNNING
 from pipeline.client import find as clients
+from pipeline.client.graph_client import GraphClient
 from pipeline.client.viewing import attached, follow
 from pipeline.errors import RunError
 
 PORT = click.IntRange(0, 65535)
+JOIN_S = 10.0  # for the viewer to join, after Ctrl-C
 USUAL = {"port": 9876, "web_port": 9090}  # Rerun's own
 
 
@@ -35,17 +40,31 @@ def view(
         used["web_port"] = web_port or _free("web_port", (used["port"],))
         return {"serve": True, **used, "every": every, "details": details}
 
-    with attached(client, settings) as node:
-        data = quote(f"rerun+http://127.0.0.1:{used['port']}/proxy", safe="")
-        address = f"http://127.0.0.1:{used['web_port']}/?url={data}"
-        try:
-            click.echo(f"{client.name}: look at {address}\nCtrl-C ends the view; the graph goes on")
-            if not no_browser:
-                _launch(address)
-            over = follow(client, node)
-        except KeyboardInterrupt:
+    node = ""
+    with ExitStack() as viewer:
+        # a command that left while the viewer joins would leave it behind
+        with signals.Interruption() as asked, asked.giving_up(JOIN_S):
+            node = viewer.enter_context(attached(client, settings))
+        if asked.asked():
             over = f"{client.name}: goes on without the view"
+        else:
+            over = _watched(client, node, used, browser=not no_browser)
     click.echo(over)
+    if asked.status and asked.number != signal.SIGINT:
+        sys.exit(asked.status)
+
+
+def _watched(client: GraphClient, node: str, used: dict[str, int], *, browser: bool) -> str:
+    """Print the address, and watch until Ctrl-C or an end; return why, as a sentence."""
+    data = quote(f"rerun+http://127.0.0.1:{used['port']}/proxy", safe="")
+    address = f"http://127.0.0.1:{used['web_port']}/?url={data}"
+    try:
+        click.echo(f"{client.name}: look at {address}\nCtrl-C ends the view; the graph goes on")
+        if browser:
+            _launch(address)
+        return follow(client, node)
+    except KeyboardInterrupt:
+        return f"{client.name}: goes on without the view"
 
 
 def _launch(address: str) -> None:

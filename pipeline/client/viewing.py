@@ -106,11 +106,12 @@ def wiring(plan: Plan, ports_of: Callable[[str], PortTypes]) -> dict[str, str]:
 def follow(client: GraphClient, node: str) -> str:
     """Tell the viewer what happens, until its graph or its node ends; return why, as a sentence."""
     before: Status | None = None
+    crashed: set[str] = set()
     settings: dict[str, dict[str, Any]] = {}
     for look in _looks():
         try:
             now = client.status()
-            lines = happened(before, now) if before is not None else []
+            lines = happened(before, now, crashed) if before is not None else []
             if look % SETTINGS_LOOKS == 0:
                 lines += changed_settings(client, settings)
             told = {"lines": lines[:MOST_TOLD], "drops": drops(now, node)}
@@ -127,12 +128,15 @@ def follow(client: GraphClient, node: str) -> str:
     raise AssertionError  # looks do not end
 
 
-def happened(before: Status, now: Status) -> list[str]:
-    """Return what changed between two looks, as lines: nodes, restarts, swaps, crashes."""
+def happened(before: Status, now: Status, crashed: set[str] | None = None) -> list[str]:
+    """Return what changed between two looks, as lines: nodes, restarts, swaps, crashes.
+
+    `crashed`: the nodes whose crash was told and whose new instance has not come yet; updated.
+    """
+    crashed = set() if crashed is None else crashed
     old, new = _parts(before), _parts(now)
     lines = [f"{name}: joined the graph" for name in new[0].keys() - old[0].keys()]
     lines += [f"{name}: left the graph" for name in old[0].keys() - new[0].keys()]
-    crashed: set[str] = set()
     for name, process in new[1].items():
         known = old[1].get(name)
         if known is not None and process.crashes > known.crashes:
@@ -142,8 +146,10 @@ def happened(before: Status, now: Status) -> list[str]:
         known_node = old[0].get(name)
         if known_node is None:
             continue
-        if node.epoch > known_node.epoch and name not in crashed:
-            lines.append(f"{name}: swapped, instance {node.epoch} runs now")
+        if node.epoch > known_node.epoch:
+            if name not in crashed:
+                lines.append(f"{name}: swapped, instance {node.epoch} runs now")
+            crashed.discard(name)
         if node.condition != known_node.condition and "stalled" in node.condition:
             lines.append(f"{name}: {node.condition}")
     return [line for line in sorted(lines) if not NAME.match(line)]
@@ -198,7 +204,7 @@ def changed_settings(client: GraphClient, known: dict[str, dict[str, Any]]) -> l
 def _remove(client: GraphClient, node: str) -> None:
     """Remove a node, if graph and node still exist; retry while another change is under way."""
     late_s = time.monotonic() + LEAVE_S
-    while client.runs() and node in client.nodes():
+    while client.runs() and node in _nodes(client):  # not those that were known before it joined
         try:
             client.remove(node)
             return

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from threading import Timer
 from time import monotonic, sleep
@@ -21,7 +22,7 @@ from pipeline.graph.editing import loaded_ports
 from pipeline.graph.loader import load
 from pipeline.protocol.fleet import EdgeState, NodeState, Process, State
 from pipeline.protocol.questions import NodeSettings
-from pipeline.run.rundir import running
+from pipeline.run.rundir import folder_of, running
 from tests.commands import command
 from tests.sample_graphs import CHAIN, PATIENCE_S, together
 
@@ -150,6 +151,24 @@ def test_a_view_joins_a_running_graph_and_leaves_it_as_it_was(name: str, begin: 
     assert nodes(name) == before
 
 
+def test_a_view_that_is_interrupted_while_it_joins_leaves_no_viewer(
+    name: str, begin: Begin
+) -> None:
+    before, view = nodes(name), begin(name, "--no-browser")
+    late_s = monotonic() + PATIENCE_S
+    while not [*folder_of(name).glob(f"viewer_{view.pid}*")] and monotonic() < late_s:
+        sleep(0.01)  # until the viewer starts
+
+    view.send_signal(signal.SIGINT)
+    said = view.communicate(timeout=60)[0]
+
+    assert nodes(name) == before
+    assert said.splitlines()[-1] == f"{name}: goes on without the view"
+    assert view.returncode == 0
+    sleep(2.0)  # for one that joins late
+    assert nodes(name) == before
+
+
 def test_a_view_ends_with_its_graph(name: str, begin: Begin) -> None:
     view = viewing(begin, name)
 
@@ -238,6 +257,18 @@ def _fields(state: NodeState) -> dict[str, object]:
 )
 def test_what_happened_between_two_looks_is_told(now: Status, lines: list[str]) -> None:
     assert happened(status(), now) == lines
+
+
+def test_an_instance_that_comes_after_a_crash_is_no_swap() -> None:
+    crashed: set[str] = set()
+    looks = [status(), status(crashes=1), status(epoch=1, crashes=1), status(epoch=2, crashes=1)]
+
+    told = [happened(*pair, crashed) for pair in pairwise(looks)]
+
+    assert told == [
+        ["policy: its process crashed, and is restarted"], [],
+        ["policy: swapped, instance 2 runs now"],
+    ]  # fmt: skip
 
 
 def test_drops_are_told_by_edge_and_reason_without_the_viewers_own() -> None:
