@@ -4,6 +4,8 @@ The only importer of `mcap`. Messages are written in chunks, compressed or not. 
 was killed has no index and may end in the middle of a chunk: the reader returns all whole chunks.
 """
 
+import os
+import stat
 import struct
 import time
 import zlib
@@ -152,10 +154,10 @@ class McapChunks:
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, Topic] = {}
         try:
-            with path.open("rb") as stream:
-                first = stream.read(8)
-        except OSError as error:
-            raise RunError(f"{path}: cannot be read: {error.strerror}") from error
+            first = _begin_of(path, 8)
+        except (OSError, ValueError) as error:  # a NUL in its name is a ValueError
+            why = (isinstance(error, OSError) and error.strerror) or str(error)
+            raise RunError(f"{path}: cannot be read: {why}") from error
         if first != b"\x89MCAP0\r\n":
             raise RunError(f"{path}: expected an MCAP file, got something else")
 
@@ -210,6 +212,21 @@ class McapChunks:
                 topic = self._topics[record.channel_id]
                 found.append(Item(topic, record.log_time, record.sequence, record.data))
         return found
+
+
+def _begin_of(path: Path, size: int) -> bytes:
+    """Return the first bytes of a regular file; raises `OSError`.
+
+    It does not wait for the other end of a pipe.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        kind = os.fstat(handle).st_mode
+        if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
+            raise OSError(0, "expected a file, got a device or a pipe")
+        return os.read(handle, size)  # of a folder it raises
+    finally:
+        os.close(handle)
 
 
 def last(path: Path, topic: str) -> bytes:

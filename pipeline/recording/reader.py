@@ -16,6 +16,7 @@ from pipeline.recording.records import ENCODING, FACTS, IMAGE, READ, message_of,
 
 MOST_MESSAGES = 20_000_000
 KEPT_CHUNKS = 8
+REPEATED = ("accounts", "settings")  # an hour of them needs hundreds of megabytes
 Exposure = tuple[str, int]  # stream, seq
 _Place = tuple[int, int]  # position of the chunk in the file, and of the message in the chunk
 
@@ -29,7 +30,8 @@ class Recording:
         # by node.output: where the message is, and the image before it if it has one
         self.messages: dict[str, dict[Exposure, tuple[_Place, _Place | None]]] = {}
         self.schemas: dict[str, str] = {}  # names of messages by node.output
-        self.facts: dict[str, list[dict[str, Any]]] = {}  # by name, oldest first
+        # by name, oldest first; of those that repeat what they say every second, the newest alone
+        self.facts: dict[str, list[dict[str, Any]]] = {}
         self.exposures: dict[Exposure, int] = {}  # wall clock of the first message, in order
         self._images: dict[str, _Place] = {}  # the last of each channel, while scanning
         count = 0
@@ -77,7 +79,10 @@ class Recording:
         if name.startswith(FACTS):
             value = _json(item.data)
             if isinstance(value, dict):
-                self.facts.setdefault(name.removeprefix(FACTS), []).append(value)
+                found = self.facts.setdefault(name.removeprefix(FACTS), [])
+                if name.removeprefix(FACTS) in REPEATED:
+                    found.clear()
+                found.append(value)
         elif name.endswith(IMAGE) and item.topic.encoding != ENCODING:
             self._images[name] = place
         elif item.topic.encoding == ENCODING:
