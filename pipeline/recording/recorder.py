@@ -236,14 +236,19 @@ class Recorder:
 
     def _write(self, encoded: _Encoded) -> None:
         assert self._writer is not None
-        self._count(encoded)
         limits, age_s = self._limits, time.monotonic() - self._began_s
         large = limits.file_bytes and self._writer.size_bytes >= limits.file_bytes
         if large or (limits.file_s and age_s >= limits.file_s):
-            self._end(self._writer)
-            self._unwritten.clear()
-            self._writer = None
-            self._writer = self._begin()
+            try:
+                self._end(self._writer)  # before this message is counted, which it does not hold
+                self._unwritten.clear()
+                self._writer = None
+                self._writer = self._begin()
+            except BaseException:
+                if encoded.output:
+                    self.accounts[encoded.output].dropped += 1
+                raise
+        self._count(encoded)
         self._add(self._writer, encoded.items)
 
     def _count(self, encoded: _Encoded) -> None:

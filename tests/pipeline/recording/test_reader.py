@@ -1,6 +1,8 @@
 """Files that are read as recordings, and what of them is kept in memory."""
 
+import errno
 import os
+from itertools import accumulate
 from pathlib import Path
 
 import pytest
@@ -8,8 +10,10 @@ import pytest
 pytest.importorskip("mcap")
 
 from pipeline import RunError
-from pipeline.recording.reader import Recording
-from pipeline.recording.recorder import Recorder
+from pipeline.recording.mcap_file import McapWriter
+from pipeline.recording.reader import Recording, counts_at_end
+from pipeline.recording.recorder import Limits, Recorder
+from tests.pipeline.recording.test_recorder import frame
 
 
 def test_a_pipe_is_refused_rather_than_waited_for(tmp_path: Path) -> None:
@@ -30,3 +34,32 @@ def test_of_what_is_repeated_every_second_the_newest_is_kept(tmp_path: Path) -> 
 
     assert [found.newest(name)["number"] for name in ("accounts", "settings", "events")] == [2] * 3
     assert [len(found.facts[name]) for name in ("accounts", "settings", "events")] == [1, 1, 3]
+
+
+def test_each_file_ends_with_the_counts_of_what_it_and_those_before_it_hold(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.mcap", Limits(chunk_bytes=2000, file_bytes=8000))
+    for seq in range(60):
+        recorder.add("capture.context", frame(seq), wait=True)
+    recorder.close()
+
+    held = [len(Recording(file).messages["capture.context"]) for file in recorder.files]
+    ends = [counts_at_end(file) for file in recorder.files]
+    counted = [end["capture.context"]["recorded"] for end in ends if end]
+    assert len(held) > 3
+    assert counted == list(accumulate(held))
+
+
+def test_what_was_to_begin_a_file_is_dropped_where_the_disk_is_full(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def full(_writer: McapWriter) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(McapWriter, "close", full)
+    recorder = Recorder(tmp_path / "a.mcap", Limits(chunk_bytes=2000, file_bytes=8000))
+    for seq in range(60):
+        recorder.add("capture.context", frame(seq), wait=True)
+
+    assert "No space left on device" in recorder.close()
+    figures = recorder.figures()["capture.context"]
+    assert figures["recorded"] + figures["dropped"] == 60
