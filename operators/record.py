@@ -199,7 +199,7 @@ class _Watch:
         self._graph, self._recorder = graph, recorder
         self._plan: Any = None
         self._nodes: dict[str, tuple[str, int]] = {}
-        self._live = _LiveFiles(folder_of(graph))
+        self._live, self._looking = _LiveFiles(folder_of(graph)), threading.Lock()
         self._stopped = threading.Event()
         self._look(0)
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
@@ -208,17 +208,22 @@ class _Watch:
     def close(self) -> None:
         """End; do not wait for a graph that does not answer: the recording is to be closed."""
         self._stopped.set()
+        self._note_changes()  # those since the last look, also while the graph is being asked
         self._thread.join(ASK_S)
 
     def _run(self) -> None:
         looks, asked_s = 0, time.monotonic()
         while not self._stopped.wait(LIVE_S):
-            for node, values, at_ns in self._live.changes(self._planned()):
-                event = {"event": "set", "node": node, "settings": values, "at_ns": at_ns}
-                self._recorder.note("events", event, at_ns)
+            self._note_changes()
             if time.monotonic() - asked_s >= ASK_S:
                 looks, asked_s = looks + 1, time.monotonic()
                 self._look(looks)
+
+    def _note_changes(self) -> None:
+        with self._looking:
+            for node, values, at_ns in self._live.changes(self._planned()):
+                event = {"event": "set", "node": node, "settings": values, "at_ns": at_ns}
+                self._recorder.note("events", event, at_ns)
 
     def _planned(self) -> dict[str, dict[str, Any]]:
         """Return the settings of each node by the plan."""

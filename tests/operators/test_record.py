@@ -18,6 +18,7 @@ from pipeline import RunError, SettingsError
 from pipeline.client import recording
 from pipeline.client.find import find
 from pipeline.client.local import LocalGraph
+from pipeline.node.live import keep
 from pipeline.recording.mcap_file import Item
 from pipeline.recording.reader import Recording
 from pipeline.recording.recorder import Recorder
@@ -138,6 +139,24 @@ def test_a_setting_that_is_changed_is_recorded_with_the_time_of_the_change(tmp_p
     (event,) = [e for e in Recording(path).facts["events"] if e["event"] == "set"]
     assert (event["node"], event["settings"]) == ("ticker", {"rate_hz": 25.0})
     assert 0 <= event["at_ns"] - times[0] < 5e9
+
+
+def test_a_setting_that_is_changed_just_before_the_end_is_recorded(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    folder = tmp_path / "graph"
+    folder.mkdir(mode=0o700)
+    monkeypatch.setattr("operators.record.folder_of", lambda _graph: folder)
+    monkeypatch.setattr("operators.record.LIVE_S", 1000.0)  # so that only the end looks
+    values = RecordSettings(path=str(tmp_path / "a.mcap"), graph="nowhere")
+    subject = Record(values)
+    subject.open()
+
+    keep(folder / "ticker.live", {"rate_hz": 25.0})
+    subject.close()
+
+    (event,) = Recording(tmp_path / "a.mcap").facts["events"]
+    assert (event["node"], event["settings"]) == ("ticker", {"rate_hz": 25.0})
 
 
 def test_an_output_that_does_not_exist_is_named(tmp_path: Path) -> None:
