@@ -13,6 +13,8 @@ from pipeline.errors import MessageError, RunError
 from pipeline.messages import Message, altered
 from pipeline.recording.mcap_file import Item, McapChunks, last
 from pipeline.recording.records import ENCODING, FACTS, IMAGE, READ, message_of, output_of
+from pipeline.text import harmless
+from pipeline.version import described
 
 MOST_MESSAGES = 20_000_000
 KEPT_CHUNKS = 8
@@ -33,6 +35,7 @@ class Recording:
         # by name, oldest first; of those that repeat what they say every second, the newest alone
         self.facts: dict[str, list[dict[str, Any]]] = {}
         self.exposures: dict[Exposure, int] = {}  # wall clock of the first message, in order
+        self._same: dict[Exposure, Exposure] = {}  # one object of each for all outputs
         self._images: dict[str, _Place] = {}  # the last of each channel, while scanning
         count = 0
         for place, items in self._file.scan():
@@ -63,13 +66,21 @@ class Recording:
         try:
             message = message_of(cls, record, picture)
         except MessageError as error:
-            raise MessageError(f"{self.path}: {output}: frame {exposure[1]}: {error}") from error
+            where = f"{self.path}: {output}: frame {exposure[1]}"
+            raise MessageError(f"{where}: {error}{self._versions()}") from error
         return altered(message, header=altered(message.header, trace=(), epoch=0))
 
     def newest(self, name: str) -> dict[str, Any]:
         """Return the newest fact of a name; empty for none."""
         found = self.facts.get(name)
         return found[-1] if found else {}
+
+    def _versions(self) -> str:
+        """Return what wrote the file and what reads it, where they differ, as a clause."""
+        wrote, reads = self.newest("graph").get("version"), described()
+        if not wrote or wrote == reads:
+            return ""
+        return f"; recorded by fovea {harmless(str(wrote), 100)}, read by {reads}"
 
     def _item(self, place: _Place) -> Item:
         return self._chunk(place[0])[place[1]]
@@ -91,6 +102,7 @@ class Recording:
             except msgspec.MsgspecError:
                 return
             exposure = (record.stream, record.seq)
+            exposure = self._same.setdefault(exposure, exposure)
             image = self._images.get(name + IMAGE) if record.beside else None
             self.messages.setdefault(output_of(name), {})[exposure] = place, image
             self.schemas[output_of(name)] = item.topic.schema_name

@@ -9,10 +9,12 @@ import pytest
 
 pytest.importorskip("mcap")
 
-from pipeline import RunError
+from pipeline.errors import MessageError, RunError
+from pipeline.messages import Tracks
 from pipeline.recording.mcap_file import McapWriter
 from pipeline.recording.reader import Recording, counts_at_end
 from pipeline.recording.recorder import Limits, Recorder
+from pipeline.version import described
 from tests.pipeline.recording.test_recorder import frame
 
 
@@ -63,3 +65,18 @@ def test_what_was_to_begin_a_file_is_dropped_where_the_disk_is_full(
     assert "No space left on device" in recorder.close()
     figures = recorder.figures()["capture.context"]
     assert figures["recorded"] + figures["dropped"] == 60
+
+
+def test_a_message_of_another_version_is_refused_with_both_versions(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.mcap")
+    recorder.note("graph", {"version": "0.0.1"})
+    recorder.add("capture.context", frame(0), wait=True)
+    recorder.close()
+
+    with pytest.raises(MessageError) as refused:  # `Tracks` has another schema than `Frame`
+        Recording(tmp_path / "a.mcap").message("capture.context", Tracks, ("test", 0))
+
+    assert str(refused.value) == (
+        f"{tmp_path / 'a.mcap'}: capture.context: frame 0: recorded with another schema of Tracks; "
+        f"recorded by fovea 0.0.1, read by {described()}"
+    )
