@@ -7,7 +7,7 @@ room, any other is dropped and counted. Files are begun anew by size and time, n
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -284,7 +284,8 @@ class Recorder:
         ):
             self._pass()
         if why:
-            self._writer = writer = self._begin()
+            held = {id(item) for kept in self._ring for item in kept.items}
+            self._writer = writer = self._begin(held)
             writer.add(fact("events", {"event": why}, time.time_ns()))
             while self._ring:
                 kept = self._ring.popleft()
@@ -302,7 +303,8 @@ class Recorder:
         if oldest.output:
             self.accounts[oldest.output].passed += 1
 
-    def _begin(self) -> McapWriter:
+    def _begin(self, later: Collection[int] = ()) -> McapWriter:
+        """Begin a file with the newest facts but those that are written `later`, by identity."""
         path = self._path
         for part in range(2, MOST_PARTS):
             try:
@@ -321,7 +323,8 @@ class Recorder:
             self.files.append(path)
             try:
                 for item in self._kept.values():
-                    writer.add(item)
+                    if id(item) not in later:
+                        writer.add(item)
             except BaseException:
                 writer.abandon()
                 raise

@@ -59,3 +59,15 @@ def test_what_a_ring_holds_when_the_disk_is_full_is_dropped(
     assert "No space left on device" in recorder.close()
     counts = recorder.figures()["capture.context"]
     assert (counts["recorded"], counts["passed"], counts["dropped"]) == (0, 0, 10)
+
+
+def test_a_ring_writes_each_event_once(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.mcap", Limits(ring_s=30.0))
+    recorder.note("events", {"event": "added", "node": "glance"})
+    recorder.add("capture.context", frame(0), wait=True)
+    recorder.dump("asked for")
+    recorder.close()
+
+    events = Recording(tmp_path / "a.mcap").facts["events"]
+
+    assert sorted(event["event"] for event in events) == ["added", "asked for"]
