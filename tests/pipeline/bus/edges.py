@@ -49,7 +49,7 @@ class Edge:
         self.memory = MemoryFolder.claim()
         self.account: EdgeAccount = private_ledger(1, 0).edges[0]
         self.account.reader_epoch = 1
-        self.wire, self.remote = Wire(), Wire(matched=remote)
+        self.wire, self.taps, self.remote = Wire(), Wire(), Wire(matched=remote)
         self.lossless, self.depth = lossless, depth
         self.arrivals: list[Arrival] = []
         self.out = self.writer(1)
@@ -58,7 +58,7 @@ class Edge:
     def writer(self, epoch: int) -> OutPort:
         readers = [Reader(self.account, self.lossless, self.depth, address=self.address)]
         return OutPort(
-            self.message, self.wire, Wire(), self.remote, readers,  # type: ignore[arg-type]
+            self.message, self.wire, self.taps, self.remote, readers,  # type: ignore[arg-type]
             lambda claim: PoolWriter(self.memory, STEM, 3, claim), epoch,
         )  # fmt: skip
 

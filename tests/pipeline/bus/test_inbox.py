@@ -160,6 +160,73 @@ def test_a_new_stream_flushes_the_old_and_is_announced() -> None:
     assert recorder.outcomes == [("left", "unmatched"), ("right", "unmatched")]
 
 
+def test_what_waits_of_an_old_stream_is_not_expected_in_a_new_one() -> None:
+    recorder = Recorder(left=EVERY, right=EVERY)
+    recorder.put("left", 9)
+
+    recorder.put("right", 0, stream="t")
+    recorder.put("left", 0, stream="t")
+
+    assert recorder.take() == 0
+    assert recorder.outcomes == [("left", "unmatched")]
+
+
+def test_an_input_that_does_not_join_is_counted_when_its_stream_ends() -> None:
+    recorder = Recorder(frame=LATEST, beside=Input(Frame, keep="every", join=False))
+    recorder.put("beside", 9)
+
+    recorder.put("frame", 0, stream="t")
+
+    assert recorder.take() == 0
+    assert recorder.outcomes == [("beside", "unmatched")]
+    assert len(recorder.inbox) == 0
+
+
+def test_a_message_that_comes_twice_is_handled_once_and_both_are_counted() -> None:
+    recorder = Recorder(left=EVERY, right=EVERY)
+    recorder.put("left", 5)
+
+    recorder.put("left", 5)
+    recorder.put("right", 5)
+
+    assert recorder.take() == 5
+    assert recorder.take() is None
+    assert recorder.outcomes == [("left", "unmatched")]
+
+
+def test_in_lockstep_inputs_that_do_not_join_run_where_no_set_can_come() -> None:
+    recorder = Recorder(lockstep=True, beside=Input(Frame, join=False))
+    recorder.put("beside", 3)
+
+    assert recorder.take() == 3
+
+
+def test_a_successor_refuses_the_streams_that_had_ended_before_it() -> None:
+    before, after = Recorder(frame=LATEST), Recorder(frame=LATEST)
+    before.put("frame", 9)
+    before.put("frame", 0, stream="t")
+
+    after.inbox.go_on_from(before.inbox.position())
+    after.put("frame", 10)
+
+    assert after.take() is None
+    assert after.outcomes == [("frame", "unmatched")]
+
+
+def test_an_input_that_is_rewired_counts_what_waits_of_its_old_output() -> None:
+    side = Input(Frame, keep="every", join=False)
+    recorder = Recorder(left=EVERY, right=EVERY, beside=side, other=side)
+    for name in ("left", "beside", "other"):
+        recorder.put(name, 5)
+
+    recorder.inbox.abandon("left")
+    recorder.inbox.abandon("beside")
+
+    assert recorder.outcomes == [("left", "unmatched"), ("beside", "unmatched")]
+    assert len(recorder.inbox) == 1
+    assert recorder.take() == 5
+
+
 def test_stale_sets_are_dropped_and_counted() -> None:
     recorder = Recorder(frame=Input(Frame, max_age_ms=50))
     recorder.put("frame", 0)  # stamped at 0 ms

@@ -11,10 +11,13 @@ from hypothesis import strategies as st
 
 from pipeline import Frame, Header, MessageError, Percept, PoolExhausted
 from pipeline.bus.envelope import Envelope
-from pipeline.bus.outport import PROBE_S, OutPort
+from pipeline.bus.inport import InPort
+from pipeline.bus.ledger import private_ledger
+from pipeline.bus.outport import PROBE_S, OutPort, Reader
+from pipeline.bus.pool import DONE, KEPT, SPARE, PoolReader
 from pipeline.codec import to_bytes
 from pipeline.testing import header, picture
-from tests.pipeline.bus.edges import Edge, Wire
+from tests.pipeline.bus.edges import STEM, Edge, Wire
 
 
 @pytest.fixture
@@ -60,6 +63,56 @@ def test_a_lossless_reader_has_credit_for_its_depth_only(edge: Edge) -> None:
     edge.send(3)
     edge.carry()
     assert edge.account.sent == 4
+
+
+def test_a_picture_whose_slot_was_reused_is_counted_as_overwritten() -> None:
+    edge = Edge(lossless=False)
+    edge.out.handshake()
+    edge.carry()
+    for seq in range(5):
+        edge.send(seq)
+
+    edge.carry()
+
+    assert [arrival.header.seq for arrival in edge.arrivals] == [3, 4]  # the newest two are kept
+    assert edge.account.dropped("overwritten") == 3
+    edge.finish()
+    assert edge.account.accounted == edge.account.sent == 5
+    edge.memory.empty()
+
+
+@pytest.mark.parametrize(
+    ("lossless", "newest", "claim"),
+    [(True, 30, KEPT), (False, 13, KEPT), (False, 14, SPARE), (False, 15, SPARE)],
+)
+def test_a_reader_of_the_latest_has_its_chance_until_two_newer_messages_are_there(
+    lossless: bool, newest: int, claim: int
+) -> None:
+    edge = Edge()
+    reader = Reader(edge.account, lossless, depth=4)
+    assert reader.claim(12, newest) == SPARE  # it has not connected
+
+    edge.account.attached_epoch, edge.account.base = 1, 10  # a reader that was added later
+    edge.account.seen = 1
+    assert reader.claim(11, newest) == DONE
+    assert reader.claim(12, newest) == claim
+    edge.account.reader_epoch = 0
+    assert reader.claim(12, newest) == DONE
+    edge.memory.empty()
+
+
+def test_an_overrun_is_counted_on_every_edge_and_only_its_cause_is_broken(edge: Edge) -> None:
+    other = Edge(lossless=False)
+    edge.out.readers += other.out.readers
+    edge.out.handshake()
+    edge.carry()
+    edge.account.sent = edge.depth
+
+    edge.out.overrun()
+
+    assert (edge.account.overrun, other.account.overrun) == (1, 1)
+    assert (edge.account.broken, other.account.broken) == (1, 0)
+    other.memory.empty()
 
 
 def test_a_reader_that_never_connected_does_not_block_the_writer() -> None:
@@ -180,6 +233,37 @@ def test_bytes_are_rendered_only_while_a_remote_reader_matches() -> None:
     far.memory.empty()
 
 
+def test_a_tap_is_sent_descriptors_only_while_there_is_one(edge: Edge) -> None:
+    edge.send(1)
+    assert edge.taps.sent == []
+
+    edge.taps.matched = True
+    edge.wire.sent.clear()
+    edge.send(2)
+
+    assert edge.taps.sent == edge.wire.sent != []
+
+
+def test_a_reader_that_joins_counts_from_the_message_after(edge: Edge) -> None:
+    for seq in range(3):
+        edge.send(seq)
+    joined, arrivals = private_ledger(1, 0).edges[0], []
+    joined.reader_epoch = 1
+
+    edge.out.change_readers([*edge.out.readers, Reader(joined, True, depth=4)], slots=6)
+    pool = PoolReader(edge.memory, STEM)
+    port = InPort(Frame, joined, pool, 1, arrivals.append)
+    edge.wire.sent.clear()
+    edge.out.handshake()
+    edge.send(3)
+    for payload in edge.wire.sent:
+        port.receive(payload)
+
+    assert [arrival.header.seq for arrival in arrivals] == [3]
+    assert (joined.base, joined.sent, joined.seen, joined.accounted) == (3, 1, 1, 0)
+    arrivals.clear()
+
+
 def test_a_tap_copies_what_it_would_pin() -> None:
     edge = Edge(lossless=False)
     edge.port = edge.reader(1, tap=True)
@@ -189,6 +273,7 @@ def test_a_tap_copies_what_it_would_pin() -> None:
 
     values = [a.message.pixels[0, 0, 0] for a in edge.arrivals if isinstance(a.message, Frame)]
     assert values == list(range(12))  # all are kept, although the pool has three slots
+    assert not [a for a in edge.arrivals if a.message.pixels.flags.writeable]  # type: ignore[union-attr]
     edge.arrivals.clear()
     edge.memory.empty()
 

@@ -309,6 +309,7 @@ def test_a_full_memory_is_an_error_and_leaves_nothing(memory: MemoryFolder, tmp_
         SlotRef("{stem}.zzzzzzzz", 1, 0, 1, 10),
         SlotRef("{file}", 1, 0, 1, 10),
         SlotRef("{file}", -1, 99, 1, 10),
+        SlotRef("{file}", -1, 3, 1, 10),  # one beyond the last
         SlotRef("{file}", -1, 0, 1, 1 << 40),
         SlotRef("{file}", -1, -1, 1, 10),
     ],

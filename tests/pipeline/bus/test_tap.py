@@ -246,6 +246,31 @@ def test_a_descriptor_of_an_array_that_no_memory_holds_is_counted(nbytes: int) -
     assert sum(tap.missed) == 1
 
 
+@pytest.mark.parametrize("offset", [0, 8])
+def test_an_array_beyond_its_slot_is_counted_and_not_heard(offset: int) -> None:
+    tap, schema = Tap(Frame), codec.schema(Frame)
+    frame = Frame(header=header(1), pixels=np.zeros((8, 8), np.uint8))
+    body = schema.write(frame, lambda _: offset)
+    slot = SlotRef("a.out.00000000", 1, 0, 1, 64)
+
+    tap.receive(Envelope.render(MESSAGE, 1, 1, schema.fingerprint, slot, body))
+
+    assert (len(heard(tap)), tap.missed.refused) == ((1, 0) if offset == 0 else (0, 1))
+
+
+def test_what_a_relay_skipped_is_counted_as_slow_and_never_twice(output: Output) -> None:
+    tap = Tap(Frame)
+    for seq in range(5):
+        output.send(seq)
+    output.carry(tap, lambda index: index not in (1, 2, 3))
+
+    tap.skipped = 2
+    assert tap.missed == Missed(on_the_way=1, slow=2)
+
+    tap.skipped = 9  # the relay counts what was skipped before this tap began, too
+    assert tap.missed == Missed(slow=3)
+
+
 EVENTS = st.lists(st.tuples(st.integers(0, 2), st.integers(0, 40), st.integers(1, 3)), max_size=12)
 
 
@@ -282,6 +307,10 @@ def test_a_pool_is_read_by_a_tap_without_keeping_a_slot_from_its_writer() -> Non
     assert not copy.flags.writeable
     again = writer.lease(10_000)  # the only slot there is
     assert tap.take(ref) is None
+    written = again.array((10_000,), np.uint8)
+    assert written is not None
+    written[...] = 9
+    assert (copy == 7).all()
     writer.abandon(again)
     assert PoolReader(memory, STEM).take(again.ref()) is not None
     memory.empty()
