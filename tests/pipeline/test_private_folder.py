@@ -66,6 +66,15 @@ def test_a_written_file_is_read_back_and_only_its_owner_may_read_it(folder: Priv
         folder.read("facts", 2)
 
 
+def test_a_write_that_fails_leaves_nothing_behind(folder: PrivateFolder) -> None:
+    (folder.path / "facts").mkdir()
+
+    with pytest.raises(OSError, match="facts"):
+        folder.write("facts", b"one")
+
+    assert folder.names() == ["facts"]
+
+
 def test_a_file_is_created_only_where_there_is_none(folder: PrivateFolder, tmp_path: Path) -> None:
     (tmp_path / "aim").write_text("untouched")
     (folder.path / "link").symlink_to(tmp_path / "aim")

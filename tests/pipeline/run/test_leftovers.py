@@ -57,6 +57,12 @@ def test_what_is_no_name_never_becomes_a_path(text: str) -> None:
         list(log_lines("work", text, 5, follow=False))
 
 
+@pytest.mark.parametrize("text", [*NO_RUN_NAMES, "0" * 15, "0" * 17, "0" * 15 + "A", "*" * 16])
+def test_what_is_no_id_of_a_run_never_becomes_a_path(text: str) -> None:
+    with pytest.raises(RunError, match="expected 16 hex digits"):
+        path_of(text)
+
+
 def test_files_of_the_user_beside_ours_stay_whatever_is_cleaned(name: str) -> None:
     foreign = ["notes.txt", "run.json.bak", "picture.png", "a.b.sock.txt", ".hidden", "work.rrd"]
     owned = RunFolder.claim(name)
@@ -93,6 +99,19 @@ def test_the_memory_of_a_run_that_lives_stays(name: str) -> None:
     assert owned.memory.read("ledger") == b"accounts"
     owned.release()
     assert not owned.memory.path.exists()
+
+
+def test_a_run_that_lives_keeps_its_memory_whatever_another_folder_says(name: str) -> None:
+    alive, stale = RunFolder.claim(name), RunFolder.claim(f"{name}-old")
+    stale.release()
+    alive.memory.write("ledger", b"accounts")
+    stale.folder.write("run.json", json.dumps(FACTS | {"run": alive.run_id}).encode())
+
+    cleanup()
+
+    assert not stale.folder.has("run.json")
+    assert alive.memory.read("ledger") == b"accounts"
+    alive.release()
 
 
 def test_what_else_lies_in_abandoned_memory_stays_with_its_folder(tmp_path: Path) -> None:
@@ -150,7 +169,8 @@ def test_files_and_links_where_run_folders_are_expected_are_left_alone(other_bas
     (other_base / "file").touch()
     (other_base / "link").symlink_to("/etc")
     os.mkfifo(other_base / "pipe")
-    (other_base / "open").mkdir(mode=0o755)
+    (other_base / "open").mkdir()
+    (other_base / "open").chmod(0o755)  # whatever the umask
 
     assert running() == {}
     assert not {"file", "link", "pipe", "open"} & set(leftovers())

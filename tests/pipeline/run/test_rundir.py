@@ -29,7 +29,7 @@ def test_a_name_has_one_owner_at_a_time() -> None:
 
 def test_logs_of_last_week_stay_and_older_ones_go() -> None:
     fresh, stale = (base() / f"test-{secrets.token_hex(3)}" for _ in range(2))
-    for folder, age_s in ((fresh, 0.0), (stale, KEEP_LOGS_S + 60)):
+    for folder, age_s in ((fresh, KEEP_LOGS_S - 60), (stale, KEEP_LOGS_S + 60)):
         RunFolder.claim(folder.name).release()
         (folder / "work.log").write_text("so it was")
         os.utime(folder / "lock", (time.time() - age_s,) * 2)

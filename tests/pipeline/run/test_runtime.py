@@ -225,6 +225,22 @@ def test_operators_of_a_group_share_a_process(tmp_path: Path) -> None:
     assert_accounts_add_up(report)
 
 
+def test_no_process_of_a_graph_opens_a_socket_of_a_network(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, together(LOOP, "work", "pair"))
+    own = psutil.Process()
+    before, opened = set(own.net_connections("inet")), set()
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for_progress(supervisor, "steer")
+        nodes = [psutil.Process(supervisor.pid(name)) for name in plan.processes()]
+        opened.update(link for each in (own, *nodes) for link in each.net_connections("inet"))
+        supervisor.finish()
+
+    go(plan, 0, during)
+
+    assert opened <= before
+
+
 def test_the_nodes_of_a_killed_supervisor_end_and_the_next_start_cleans_up(
     tmp_path: Path,
 ) -> None:
