@@ -61,12 +61,12 @@ print(json.dumps(found))
 
 
 @pytest.fixture
-def device(tmp_path: Path) -> dict[str, str]:
+def device(tmp_path: Path, short_path: Path) -> dict[str, str]:
     """The environment in which there is such a device, at `DEVICE`."""
     compiler = shutil.which("cc")
     if compiler is None or not Path("/usr/include/linux/videodev2.h").exists():
         pytest.skip("no C compiler or no headers of the kernel")
-    library = tmp_path / "v4l2_device.so"
+    library = short_path / "v4l2_device.so"  # LD_PRELOAD allows no blank in a path
     command = [compiler, "-shared", "-fPIC", "-O1", "-o", str(library), str(SOURCE), "-ldl"]
     subprocess.run(command, check=True, capture_output=True, timeout=60)
     for turn in range(2):

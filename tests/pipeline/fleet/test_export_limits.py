@@ -47,12 +47,12 @@ def test_probes_tell_a_heartbeat_that_is_old_or_says_that_something_starts(
         os.utime(file, (time.time() - old_s,) * 2)
 
     for probe, expected in ((ALIVE, alive), (READY, ready)):
-        words = [str(file) if word == HEARTBEAT else word for word in probe]
-        assert (subprocess.run(words, check=False).returncode == 0) is expected
-        # podman gives the words, joined, to a shell
-        assert (
-            subprocess.run(" ".join(words), shell=True, check=False).returncode == 0
-        ) is expected
+        # by its name: podman gives the words, joined, to a shell, and `HEARTBEAT` has no blank
+        words = [file.name if word == HEARTBEAT else word for word in probe]
+        done = subprocess.run(words, cwd=tmp_path, check=False)
+        assert (done.returncode == 0) is expected
+        done = subprocess.run(" ".join(words), cwd=tmp_path, shell=True, check=False)
+        assert (done.returncode == 0) is expected
 
 
 def test_every_pod_of_a_host_is_probed_where_its_command_writes(tmp_path: Path) -> None:

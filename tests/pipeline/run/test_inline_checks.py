@@ -196,36 +196,36 @@ Way = Callable[[Path, str, str], None]
 @pytest.mark.parametrize("way", [by_a_host, by_a_shadow, by_drive, in_line])
 @pytest.mark.parametrize(("cls", "answer"), WORDS, ids=str)
 def test_a_wrong_answer_is_the_same_error_in_every_way(
-    way: Way, cls: str, answer: str, tmp_path: Path
+    way: Way, cls: str, answer: str, short_path: Path
 ) -> None:
     if (way, cls) == (in_line, "Deaf"):
         pytest.skip("the loader refuses it before")
 
     with pytest.raises((FoveaError, ValueError)) as caught:
-        way(tmp_path, cls, answer)
+        way(short_path, cls, answer)
 
     assert str(caught.value) == WORDS[cls, answer]
 
 
 @pytest.mark.parametrize("answer", OF_SOURCES)
-def test_a_wrong_exposure_is_the_same_error_in_every_way(answer: str, tmp_path: Path) -> None:
+def test_a_wrong_exposure_is_the_same_error_in_every_way(answer: str, short_path: Path) -> None:
     with pytest.raises(FoveaError) as hosted:
-        by_a_source_host(tmp_path, answer)
+        by_a_source_host(short_path, answer)
     with pytest.raises(FoveaError) as inline:
-        in_line(tmp_path, "Maker", answer)
+        in_line(short_path, "Maker", answer)
 
     assert str(hosted.value) == str(inline.value) == OF_SOURCES[answer]
 
 
-def test_a_command_that_is_answered_is_the_same_error_in_every_way(tmp_path: Path) -> None:
+def test_a_command_that_is_answered_is_the_same_error_in_every_way(short_path: Path) -> None:
     said = "wrong.on_schedule: expected no answer, got an int"
 
     with pytest.raises(RunError) as hosted:
-        by_a_source_host(tmp_path, COMMANDED)
+        by_a_source_host(short_path, COMMANDED)
     with pytest.raises(RunError) as inline:
-        in_line(tmp_path, "Maker", COMMANDED)
+        in_line(short_path, "Maker", COMMANDED)
     with pytest.raises(RunError) as driven:
-        by_drive(tmp_path, "Maker", COMMANDED)
+        by_drive(short_path, "Maker", COMMANDED)
 
     assert {str(e.value) for e in (hosted, inline, driven)} == {said}
 
