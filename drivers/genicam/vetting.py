@@ -9,7 +9,6 @@ from pipeline.text import harmless
 
 LONGEST_CHAIN = 256  # nodes that take their value from one another
 LONGEST_REGISTER = 1 << 16  # bytes; real cameras have up to 32768
-NUMBER_BYTES = (1, 2, 4, 8)
 
 # where a node's value comes from; the links of limits and locks lead into these
 VALUE_LINKS = (
