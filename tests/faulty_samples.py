@@ -3,6 +3,7 @@
 import ctypes
 import multiprocessing
 import os
+import shlex
 import signal
 import subprocess
 import threading
@@ -166,7 +167,7 @@ class Unruly(Operator[UnrulySettings, Frame]):
 
     def do_escape_twice(self) -> None:
         """Start such a program by one that ends at once, so that its parent is gone."""
-        script = f"setsid env -i sleep 1000 & echo $! >> {self.settings.note}"
+        script = f"setsid env -i sleep 1000 & echo $! >> {shlex.quote(self.settings.note)}"
         subprocess.run(["sh", "-c", script], check=True)
 
     def do_tell(self) -> None:

@@ -29,7 +29,7 @@ PART = """\
   {name}:
     operator: tests.faulty_samples:Unruly
     restart: {{backoff_s: 0.01}}
-    settings: {{kind: {kind}, once: {folder}/once-{name}, note: {folder}/note-{name}}}
+    settings: {{kind: {kind}, once: "{folder}/once-{name}", note: "{folder}/note-{name}"}}
     inputs: {{frame: {{from: ticker.context, depth: 40}}}}
   after_{name}:
     operator: tests.samples:Count
