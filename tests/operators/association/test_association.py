@@ -49,6 +49,16 @@ def test_an_object_keeps_its_id_and_its_future_follows_its_speed():
     assert last.predicted.shape == (1, 16, 4)
 
 
+@pytest.mark.parametrize(("times", "ids"), [(2, [1]), (1, [])])
+def test_an_object_that_was_reported_once_is_kept_longer_than_another(times: int, ids: list[int]):
+    square, back = (100, 100, 40, 1), times + 4
+    frames = [seen(k, square) if k < times or k == back else seen(k) for k in range(back + 1)]
+
+    tracks = follow(*frames, confirm=2, max_missed=5, max_missed_unconfirmed=1)
+
+    assert tracks[-1].ids.tolist() == ids  # of one that had ended it is a first sight
+
+
 def test_history_holds_what_was_detected():
     last = follow(*[seen(k, (100 + 5 * k, 200, 40, 1)) for k in range(6)])[-1]
 
