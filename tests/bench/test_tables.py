@@ -88,6 +88,15 @@ def test_a_study_that_cannot_be_measured_is_refused_before_the_first_begins(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_report_that_is_not_there_is_refused_before_a_study_is_looked_at(tmp_path: Path) -> None:
+    given = ["--out", str(tmp_path), "--text", "/nowhere.json", "--clips", "0"]
+
+    result = CliRunner().invoke(main, given)
+
+    assert result.exit_code != 0
+    assert "Error: /nowhere.json: expected a report of fovea eval" in result.output
+
+
 def test_eight_players_are_a_study_of_their_own() -> None:
     words = studies(30, "footage", (), ())["players-soccernet"]
 
