@@ -53,8 +53,18 @@ def test_what_is_no_name_never_becomes_a_path(text: str) -> None:
             act(text)
     with pytest.raises(RunError, match="expected the name of a graph"):
         list(log_lines(text, "work", 5, follow=False))
-    with pytest.raises(RunError, match="no log"):
-        list(log_lines("work", text, 5, follow=False))
+
+
+@pytest.mark.parametrize("node", [*NO_RUN_NAMES, "work@here"])
+def test_what_is_no_name_of_a_node_has_no_log_in_a_folder_that_is_there(
+    node: str, name: str
+) -> None:
+    owned = RunFolder.claim(name)
+    (owned.folder.path / f"{node if '/' not in node else 'x'}.log").write_text("not of a node")
+
+    with pytest.raises(RunError, match="no log of a node"):
+        list(log_lines(name, node, 5, follow=False))
+    owned.release()
 
 
 @pytest.mark.parametrize("text", [*NO_RUN_NAMES, "0" * 15, "0" * 17, "0" * 15 + "A", "*" * 16])
