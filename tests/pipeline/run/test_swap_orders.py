@@ -36,7 +36,7 @@ def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> Non
         told.extend(swap_lines(find(plan.name).swap(order("work"))))
         for wrong in (SwapOrder(node="wrk"), "noise"):
             with pytest.raises(GraphError) as refusal:
-                find(plan.name).swap(wrong)  # type: ignore[arg-type]
+                find(plan.name).tell(wrong)  # type: ignore[arg-type]
             told.append(str(refusal.value))
 
     def during(supervisor: Supervisor) -> None:
