@@ -9,11 +9,15 @@ dropped and counted.
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+import psutil
+
 from pipeline.client.local import LocalGraph
+from pipeline.client.recording import NODE
 from pipeline.contract import HEADLINE, INCOMPLETE, Input, Operator
 from pipeline.errors import FoveaError, RunError, SettingsError
 from pipeline.messages import (
@@ -63,6 +67,7 @@ class RecordSettings:
     queue_mb: float = 256.0  # of messages that wait to be written
     compression: Literal["zstd", "lz4", "none"] = "zstd"
     chunk_s: float = 0.5  # what a killed recorder loses at most
+    owner_pid: int = 0  # of the command that added it: it leaves the graph when that has ended
 
     def __post_init__(self) -> None:
         for name in ("file_mb", "file_s", "ring_s"):
@@ -70,6 +75,8 @@ class RecordSettings:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
         if self.lost_frames < 0 or (self.lost_frames and not self.ring_s):
             raise SettingsError(f"lost_frames: needs ring_s above 0, got {self.lost_frames}")
+        if self.owner_pid < 0:
+            raise SettingsError(f"owner_pid: must be at least 0, got {self.owner_pid}")
         for name in ("ring_mb", "queue_mb", "chunk_s"):
             if not 0 < getattr(self, name) < 1e9:
                 raise SettingsError(f"{name}: must be above 0, got {getattr(self, name)}")
@@ -105,7 +112,7 @@ class Record(Operator[RecordSettings, None]):
         self._recorder = self.recorder_type(Path(s.path).absolute(), s.limits())
         self._recorder.note("graph", {"version": described(), "name": s.graph})
         if s.graph:
-            self._watch = _Watch(s.graph, self._recorder)
+            self._watch = _Watch(s.graph, self._recorder, s.owner_pid)
 
     def state(self) -> None:
         """Return None: another instance begins another file."""
@@ -195,8 +202,8 @@ for _message, _count in INPUTS.items():
 class _Watch:
     """Records what becomes of the graph: its plan, settings, accounts, swaps and restarts."""
 
-    def __init__(self, graph: str, recorder: Recorder) -> None:
-        self._graph, self._recorder = graph, recorder
+    def __init__(self, graph: str, recorder: Recorder, owner_pid: int = 0) -> None:
+        self._graph, self._recorder, self._owner_pid = graph, recorder, owner_pid
         self._plan: Any = None
         self._nodes: dict[str, tuple[str, int]] = {}
         self._live, self._looking = _LiveFiles(folder_of(graph)), threading.Lock()
@@ -218,6 +225,15 @@ class _Watch:
             if time.monotonic() - asked_s >= ASK_S:
                 looks, asked_s = looks + 1, time.monotonic()
                 self._look(looks)
+                if self._owner_pid and not psutil.pid_exists(self._owner_pid):
+                    self._leave()
+
+    def _leave(self) -> None:
+        """Leave the graph: who was killed can end no recording, which would fill the disk."""
+        with suppress(FoveaError, OSError):  # the next look tries again
+            facts = running().get(self._graph)
+            if facts is not None:
+                LocalGraph(self._graph, facts).remove(NODE)
 
     def _note_changes(self) -> None:
         with self._looking:

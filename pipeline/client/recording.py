@@ -5,6 +5,7 @@ the graph's accounts. Of an output with a lossless reader, up to `DEPTH` message
 """
 
 import json
+import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -103,7 +104,7 @@ def begin(client: LocalGraph, path: Path, what: Chosen, settings: dict[str, Any]
     }
     values = {
         **settings, "path": str(path.absolute()), "outputs": what.inputs, "graph": client.name,
-        "lossless": list(what.every) if what.lossless else [],
+        "lossless": list(what.every) if what.lossless else [], "owner_pid": os.getpid(),
     }  # fmt: skip
     node = {"operator": OPERATOR, "inputs": inputs, "settings": values}
     with tempfile.TemporaryDirectory() as folder:

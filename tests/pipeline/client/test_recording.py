@@ -1,5 +1,7 @@
 """What `fovea record` tells is what its files hold, and its recorder does not stay behind."""
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -17,7 +19,7 @@ from pipeline.recording.reader import Recording
 from pipeline.recording.recorder import Limits, Recorder
 from pipeline.run.supervisor import Supervisor
 from tests.pipeline.recording.test_recorder import frame
-from tests.sample_graphs import CHAIN, beside, go, plan_of, together
+from tests.sample_graphs import CHAIN, beside, go, plan_of, together, wait_for
 
 TOGETHER = together(CHAIN, "ticker", "count", "glance")
 
@@ -132,3 +134,27 @@ def test_a_link_to_no_file_is_refused_as_a_place_for_a_recording(tmp_path: Path)
 
     assert isinstance(done.exception, SettingsError)
     assert str(done.exception) == f"--out {path}: expected a new file, got a link"
+
+
+def test_a_recorder_leaves_the_graph_when_its_command_was_killed(tmp_path: Path) -> None:
+    plan, path = plan_of(tmp_path, TOGETHER), tmp_path / "a.mcap"
+    words = [sys.executable, "-m", "pipeline.cli", "record", plan.name, "--out", str(path)]
+
+    def look(supervisor: Supervisor) -> None:
+        def recording_since() -> bool:
+            return "record" in client_of(plan.name).nodes()
+
+        with subprocess.Popen(words, stdout=subprocess.PIPE) as command:
+            try:
+                assert command.stdout is not None
+                beside(supervisor, command.stdout.readline)  # "recording 2 outputs"
+                assert recording_since()
+            finally:
+                command.kill()
+        wait_for(supervisor, lambda: not recording_since())
+        supervisor.finish()
+
+    report = go(plan, 0, look)
+
+    assert not report["failure"]
+    assert recording.counts_at_end(path) is not None  # it was ended as any other
