@@ -166,10 +166,12 @@ def rest(account: Mapping[str, Any]) -> str:
 
 
 def losses(origin: str, end: str, account: Mapping[str, Any], *, broken: bool) -> Iterator[Text]:
-    """Yield a line for an edge that dropped or lost messages; none for messages in flight."""
+    """Yield a line for an edge that dropped, lost or ignored messages; none for those in flight."""
     parts = [f"{n} dropped, {reason}" for reason, n in account["dropped"].items()]
     if lost := account["lost_in_crash"]:
         parts.append(f"{lost} lost in a crash")
+    if strange := account.get("unexpected"):  # hosts of an earlier commit do not tell
+        parts.append(f"{strange} ignored, damaged or sent twice")
     line = Text("; ".join(parts))
     if broken:
         line.append("; " if parts else "").append("lost messages it was promised", "red")

@@ -125,6 +125,7 @@ class EdgeAccount(ctypes.Structure):
             "dropped": dropped,
             "in_flight": self.in_flight,
             "lost_in_crash": self.lost_in_crash,
+            "unexpected": self.unexpected,  # beside the messages: damaged, or sent twice
         }
 
 

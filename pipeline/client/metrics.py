@@ -43,6 +43,7 @@ COUNTERS = {
     "fovea_edge_messages_delivered": ("Messages that its handler took.", EDGE),
     "fovea_edge_messages_dropped": ("Messages dropped, by reason.", (*EDGE, "reason")),
     "fovea_edge_messages_lost_in_crash": ("Messages that a crash took along.", EDGE),
+    "fovea_edge_messages_unexpected": ("Messages ignored: damaged, or sent twice.", EDGE),
 }
 Sample = tuple[str, Sequence[str], float]  # name, values of its labels, value
 
@@ -114,6 +115,7 @@ def _of_state(state: State, at: tuple[str, str]) -> Iterator[Sample]:
         yield "fovea_edge_messages_offered", ends, account["offered"]
         yield "fovea_edge_messages_delivered", ends, account["delivered"]
         yield "fovea_edge_messages_lost_in_crash", ends, account["lost_in_crash"]
+        yield "fovea_edge_messages_unexpected", ends, account.get("unexpected", 0)
         yield "fovea_edge_in_flight", ends, account["in_flight"]
         yield "fovea_edge_broken", ends, float(edge.broken)
         for reason, count in account["dropped"].items():

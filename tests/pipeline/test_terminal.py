@@ -38,9 +38,12 @@ def test_every_name_and_figure_of_the_shipped_graph_stands_whole_in_80_columns(
 
 def test_undelivered_messages_are_counted_and_losses_are_named() -> None:
     account = {"offered": 9, "delivered": 4, "dropped": {"superseded": 3}, "lost_in_crash": 1}
-    whole = {"offered": 9, "delivered": 8, "dropped": {}, "lost_in_crash": 0}
+    whole = {"offered": 9, "delivered": 8, "dropped": {}, "lost_in_crash": 0, "unexpected": 0}
 
     assert rest(account) == "5"
+    assert [line.plain for line in losses("a", "b", whole | {"unexpected": 2}, broken=False)] == [
+        "a -> b: 2 ignored, damaged or sent twice"
+    ]
     assert [line.plain for line in losses("a", "b.in", account, broken=True)] == [
         "a -> b.in: 3 dropped, superseded; 1 lost in a crash; lost messages it was promised"
     ]

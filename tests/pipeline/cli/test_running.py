@@ -8,8 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 from pipeline.cli import commands
-from pipeline.cli.running import advice, before
+from pipeline.cli.running import advice
 from pipeline.errors import SettingsError, WeightsError
+from pipeline.graph.advice import before
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 
