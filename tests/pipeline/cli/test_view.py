@@ -129,6 +129,14 @@ def nodes(name: str) -> set[str]:
     return {node["name"] for node in running()[name]["nodes"]}
 
 
+def settled(name: str, wanted: set[str]) -> set[str]:
+    """Return the nodes, once they are these: a graph writes them down after it has answered."""
+    deadline_s = monotonic() + PATIENCE_S
+    while (found := nodes(name)) != wanted and monotonic() < deadline_s:
+        sleep(0.05)
+    return found
+
+
 def test_a_view_joins_a_running_graph_and_leaves_it_as_it_was(name: str, begin: Begin) -> None:
     before = nodes(name)
 
@@ -145,10 +153,7 @@ def test_a_view_joins_a_running_graph_and_leaves_it_as_it_was(name: str, begin: 
     assert second == {f"viewer_{view.pid}"}
     assert view.returncode == 0
     assert said.splitlines()[-1] == f"{name}: goes on without the view"
-    deadline_s = monotonic() + PATIENCE_S
-    while nodes(name) != before and monotonic() < deadline_s:
-        sleep(0.05)  # the graph writes down what it is after it has answered
-    assert nodes(name) == before
+    assert settled(name, before) == before
 
 
 def test_a_view_that_is_interrupted_while_it_joins_leaves_no_viewer(
@@ -162,7 +167,7 @@ def test_a_view_that_is_interrupted_while_it_joins_leaves_no_viewer(
     view.send_signal(signal.SIGINT)
     said = view.communicate(timeout=60)[0]
 
-    assert nodes(name) == before
+    assert settled(name, before) == before
     assert said.splitlines()[-1] == f"{name}: goes on without the view"
     assert view.returncode == 0
     sleep(2.0)  # for one that joins late
