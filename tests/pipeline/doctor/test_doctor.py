@@ -187,7 +187,7 @@ def test_leftovers_of_a_killed_run_are_found_and_removed(tmp_path: Path) -> None
     until(lambda: frozen.pid in [p.pid for p in orphaned()] or ended(frozen.pid))
     cleanup()
     assert plan.name not in leftovers()
-    assert not path_of(facts["run"]).exists()
+    until(lambda: not path_of(facts["run"]).exists())
     until(lambda: ended(frozen.pid))
 
 

@@ -259,7 +259,7 @@ def test_a_chunk_that_grows_without_measure_ends_the_file(
     builder = RecordBuilder()
     chunk.write(builder)
     path.write_bytes(whole[:8] + builder.end() + whole[8:])
-    chunks, begun_s = McapChunks(path), time.monotonic()
+    chunks, begun_s = McapChunks(path), time.thread_time()  # whatever else the machine does
     tracemalloc.start()
 
     found = list(chunks.scan())
@@ -268,7 +268,7 @@ def test_a_chunk_that_grows_without_measure_ends_the_file(
     tracemalloc.stop()
     assert found == []
     assert "ends early, after 0 whole chunks" in chunks.broken
-    assert time.monotonic() - begun_s < 20
+    assert time.thread_time() - begun_s < 20
     assert most_bytes < 200_000_000
 
 
