@@ -39,9 +39,14 @@ def whole_file(path: Path, *, secret: bool = False, durable: bool = False) -> It
 def write_whole(
     path: Path, data: bytes | str, *, secret: bool = False, durable: bool = False
 ) -> None:
-    """Write a file atomically; raises `OSError` as `whole_file` does."""
-    with whole_file(path, secret=secret, durable=durable) as file:
-        file.write(data.encode() if isinstance(data, str) else data)
+    """Write a file atomically; raises `OSError` as `whole_file` does, always with the file."""
+    try:
+        with whole_file(path, secret=secret, durable=durable) as file:
+            file.write(data.encode() if isinstance(data, str) else data)
+    except OSError as error:
+        if error.filename is None:  # of a write: a full disk, or a limit
+            error.filename = str(path)
+        raise
 
 
 def try_beside(path: Path) -> None:

@@ -20,6 +20,7 @@ from pipeline.fleet import secure
 from pipeline.fleet.agent_file import GraphStore
 from pipeline.fleet.placement import Allowed
 from pipeline.whole_file import whole_file, write_whole
+from tests.full_disk import full_disk
 
 Writer = Callable[[Path], Path]  # writes into a folder, returns what it wrote
 
@@ -208,3 +209,15 @@ def test_a_device_or_a_pipe_is_refused_and_stays(tmp_path: Path, kind: str) -> N
         write_whole(path, "data")
 
     assert (path.lstat().st_ino, path.lstat().st_mode) == (before.st_ino, before.st_mode)
+
+
+def test_a_full_disk_is_told_with_the_file_and_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "report.json"
+    path.write_text("before")
+
+    with full_disk(1000), pytest.raises(OSError, match=r"report\.json") as refused:
+        write_whole(path, bytes(2000))
+
+    assert refused.value.filename == str(path)
+    assert path.read_text() == "before"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.json"]

@@ -12,7 +12,7 @@ from torch import nn
 from operators.training import checkpoint
 from operators.training.checkpoint import Progress
 from pipeline import SettingsError, WeightsError
-from tests.operators.training.full_disk import full_disk
+from tests.full_disk import full_disk
 
 TOLD = {"seed": "1", "rate": "0.001"}
 

@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from operators.training.onnx_files import describe, write
-from tests.operators.training.full_disk import full_disk
+from tests.full_disk import full_disk
 
 
 def written(path: Path) -> Path:
