@@ -71,6 +71,7 @@ class InlineRunner:
         self._source = self._only_source()
         self.commands = hashlib.sha256()
         self.at = ""  # the node whose code is running
+        self.exposure = "", 0  # stream and seq of the latest frame
         self.began = False  # whether every operator was opened
         self._began_s = time.monotonic()
 
@@ -125,6 +126,7 @@ class InlineRunner:
                 return
             self._source.account.histograms["handler"].add(time.monotonic_ns() - begun)
             header = header_of(exposed)
+            self.exposure = header.stream, header.seq
             self._send(self._source, exposed, header, begun_ns=header.stamp_ns)
             self._drain_frame()
             count += 1

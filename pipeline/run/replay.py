@@ -69,12 +69,11 @@ def replay(
     played = stand_ins(plan, recording, nodes)
     verifier = Verifier(plan, recording, played)
     runner = InlineRunner(plan, watch=verifier.watch if verify else None, played=played)
-    logged = {seq: at_ns for (_stream, seq), at_ns in recording.exposures.items()}
-    first_ns = last_ns = next(iter(logged.values()), 0)
+    first_ns = last_ns = next(iter(recording.exposures.values()), 0)
     began_s, count, whole = time.monotonic(), 0, True
     with sentences(runner), runner:
         for seq in runner.run(frames):
-            count, last_ns = count + 1, logged[seq]
+            count, last_ns = count + 1, recording.exposures[runner.exposure]
             if not step(seq, last_ns):
                 whole = False
                 break

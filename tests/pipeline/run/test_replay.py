@@ -15,6 +15,8 @@ from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
 from pipeline.graph.shipped import graph_path, source_path
 from pipeline.recording.reader import Recording
+from pipeline.recording.recorder import Recorder
+from pipeline.run.inline import InlineRunner
 from pipeline.run.replay import plan_in, record_inline, replay
 from tests.commands import command
 from tests.sample_graphs import LOOP, plan_of
@@ -87,6 +89,26 @@ def test_any_node_can_be_replaced(tmp_path: Path) -> None:
     found = replay(plan, recording, nodes=("work", "pair"), verify=True)
 
     assert (found.frames, found.compared, found.different) == (10, 10, 0)  # only `steer` ran
+
+
+def test_frames_of_two_streams_with_one_number_are_two_frames(tmp_path: Path) -> None:
+    plan, path = plan_of(tmp_path, LOOP, clock="lockstep"), tmp_path / "a.mcap"
+    recorder = Recorder(path)
+    for _ in range(2):  # as where a source begins anew
+        with InlineRunner(plan, watch=lambda o, m: recorder.add(o, m, wait=True)) as runner:
+            list(runner.run(3))
+    recorder.close()
+    recording, times_ns = Recording(path), list[int]()
+
+    def step(_seq: int, log_ns: int) -> bool:
+        times_ns.append(log_ns)
+        return True
+
+    found = replay(plan, recording, step=step)
+
+    assert times_ns == list(recording.exposures.values())
+    assert found.frames == 6
+    assert found.recorded_s == (times_ns[-1] - times_ns[0]) / 1e9
 
 
 def test_an_output_that_was_not_recorded_is_named(tmp_path: Path) -> None:
