@@ -181,7 +181,7 @@ def reports_of(out: Path, given: Mapping[str, Path | None]) -> dict[str, Path]:
 @click.option("--soccernet", default="", help="a sequence's folder, or a folder of them")
 @click.option("--policy", multiple=True, help="as for fovea eval tracking; else the graph's own")
 @click.option("--ablation", multiple=True, help="NAME=FILE.onnx of operators.policy.train --use")
-@click.option("--far", default="", help="FILE.onnx of a policy that was trained for late plans")
+@click.option("--far", default="", help="FILE.onnx of a policy for late plans, or pursuit")
 @click.option("--tracker", default="", help="as for fovea eval tracking; else the graph's own")
 @click.option("--tracking", type=Path, help="of all tasks: another report than the folder's own")
 @click.option("--text", type=Path, help="the same of fovea eval text; else the committed report")
