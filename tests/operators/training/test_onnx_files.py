@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
-import onnx
 import pytest
 
 pytest.importorskip("torch", reason="needs the train extra")
+pytest.importorskip("onnx", reason="needs the train extra")
+import onnx
 import torch
 from torch import nn
 
