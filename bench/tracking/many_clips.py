@@ -19,7 +19,10 @@ from bench.tracking.store import forget_damaged, units
 from operators.training.identity import of_code
 from pipeline.whole_file import write_whole
 
-SCORING = ("bench.tracking.many", "bench.tracking.identities", "operators.identity")
+SCORING = (
+    *("bench.tracking.many", "bench.tracking.identities", "operators.identity"),
+    "operators.policy.greedy",  # of the oracle's window
+)
 
 
 def scored_clips(options: Options, clips: Sequence[ClipName], protocol: Protocol) -> list[Row]:
