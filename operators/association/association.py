@@ -19,6 +19,7 @@ from pipeline.boxes import from_centres
 from pipeline.errors import MessageError
 
 AssociationState = Table
+MOST_FRAMES = 1000  # of history, and predicted: the paper's longest have 10 and 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +41,11 @@ class AssociationSettings:
     colour_difference: float = 40.0  # in CIELAB, at which likeness is .37; 0: colours count not
 
     def __post_init__(self) -> None:
-        for name in ("observed", "horizon", "max_objects", "confirm"):
+        for name in ("observed", "horizon"):  # arrays of every message have as many rows
+            if not 1 <= getattr(self, name) <= MOST_FRAMES:
+                given = getattr(self, name)
+                raise SettingsError(f"{name}: expected 1 to {MOST_FRAMES}, got {given}")
+        for name in ("max_objects", "confirm"):
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
         for name in (

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pipeline import Geometry, Scanpath, SettingsError, Tracks
 
 PLACE = -1  # a choice that is no object
+MOST_AHEAD = 1000  # frames of a plan: the paper's longest has 200
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,8 +46,8 @@ def no_proposal() -> GazePlan:
 
 def check_horizon(frames: int) -> None:
     """Raise `SettingsError` for an invalid number of planned frames."""
-    if frames < 1:
-        raise SettingsError(f"horizon: must be at least 1, got {frames}")
+    if not 1 <= frames <= MOST_AHEAD:
+        raise SettingsError(f"horizon: expected 1 to {MOST_AHEAD}, got {frames}")
 
 
 def field_centre(geometry: Geometry) -> NDArray[np.float32]:

@@ -166,7 +166,8 @@ def greedy(
     too late for have the windows of earlier plans.
     """
     geometry, seq = tracks.header.geometry, tracks.header.seq
-    if not fit.any():
+    windowed = geometry.roi_width_px > 0 and geometry.roi_height_px > 0  # unknown of some sources
+    if not (windowed and fit.any()):
         return stay(field_centre(geometry), s.horizon), state
     ahead = np.stack([future(tracks, row, s.horizon) for row in range(len(tracks.ids))], axis=1)
     shown_seq, looks = np.maximum(state.shown_seq, state.aimed_seq), state.looks

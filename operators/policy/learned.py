@@ -26,7 +26,7 @@ from operators.policy.decision import (
     without_candidates,
 )
 from operators.policy.former import CARRIERS, FEEDBACK, PRIOR, STRATEGY, VERIFIED
-from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath, stay
+from operators.policy.gaze_plan import GazePlan, check_horizon, no_proposal, scanpath, stay
 from operators.policy.inputs import PolicyInputs
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
@@ -65,9 +65,9 @@ class LearnedPolicySettings(TargetSettings, NetworkSettings):
     def __post_init__(self) -> None:
         TargetSettings.__post_init__(self)
         NetworkSettings.__post_init__(self)
-        for name in ("horizon", "observed"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
+        check_horizon(self.horizon)
+        if self.observed < 1:
+            raise SettingsError(f"observed: must be at least 1, got {self.observed}")
         for name in ("place_patience", "seed"):
             if getattr(self, name) < 0:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")

@@ -1,5 +1,6 @@
 """Detections -> Tracks: identity, gaps, prediction, beginning and end."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -213,9 +214,18 @@ def test_frames_that_run_backwards_are_refused():
         follow(seen(4), seen(4))
 
 
-def test_a_setting_out_of_range_is_refused():
-    with pytest.raises(SettingsError, match=r"iou_gate: must be within 0\.\.1, got 2\.0"):
-        AssociationSettings(iou_gate=2.0)
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"iou_gate": 2.0}, "iou_gate: must be within 0..1, got 2.0"),
+        ({"observed": 0}, "observed: expected 1 to 1000, got 0"),
+        ({"horizon": 1001}, "horizon: expected 1 to 1000, got 1001"),
+        ({"max_objects": 0}, "max_objects: must be at least 1, got 0"),
+    ],
+)
+def test_a_setting_out_of_range_is_refused(given, said):
+    with pytest.raises(SettingsError, match=re.escape(said)):
+        AssociationSettings(**given)
 
 
 object_ = st.tuples(

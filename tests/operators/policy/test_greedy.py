@@ -7,7 +7,7 @@ import numpy as np
 
 from operators.policy import GreedyPolicy, GreedyPolicySettings
 from operators.policy.greedy import INSIDE, best_window
-from pipeline import RoiFeatures, Scanpath, Tracks
+from pipeline import Geometry, RoiFeatures, Scanpath, Tracks
 from pipeline.boxes import covered
 from pipeline.testing import header
 from tests.operators.policy.made_up import tracks
@@ -134,6 +134,16 @@ def test_a_box_that_is_no_number_is_not_looked_for() -> None:
     assert shown(path, world) == [2]
     assert np.isfinite(path.boxes).all()
     np.testing.assert_allclose((alone.boxes[0, :2] + alone.boxes[0, 2:]) / 2, [960, 540], atol=2)
+
+
+def test_tracks_that_do_not_tell_the_size_of_a_window_get_a_plan_for_a_place() -> None:
+    world = tracks(0, *FAR)
+    untold = replace(world, header=replace(world.header, geometry=Geometry()))
+
+    path = policy().on_tracks(untold)
+
+    assert not path.boxes.any()
+    assert len(path.boxes) == 16
 
 
 def test_the_probability_of_an_object_is_its_share_of_the_gain() -> None:

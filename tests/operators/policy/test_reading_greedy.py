@@ -159,7 +159,8 @@ def test_baselines_have_the_same_inputs(rule: type) -> None:
         ({"verify": 1.1}, "verify: expected 0 to 1, got 1.1"),
         ({"least_gain": -1.0}, "least_gain: expected 0 to 1, got -1"),
         ({"delay": 16}, "delay: expected 0 to below the horizon of 16, got 16"),
-        ({"horizon": 0}, "horizon: must be at least 1, got 0"),
+        ({"horizon": 0}, "horizon: expected 1 to 1000, got 0"),
+        ({"horizon": 1001}, "horizon: expected 1 to 1000, got 1001"),
     ],
 )
 def test_settings_out_of_range_are_refused(given: dict[str, float], said: str) -> None:
