@@ -182,16 +182,21 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--stride", type=count, default=10, help="with --data: every n-th frame")
     parser.add_argument("--frames", type=span, default=(1, 0), help="with --data: A-B, from 1")
     parser.add_argument("--on", choices=SEEDS, default="test")
-    parser.add_argument("--scenes", type=count, default=30)
+    parser.add_argument("--scenes", type=count, help="the first of them; all unless given")
     parser.add_argument("--moments", type=count, default=4, help="pairs of pictures of each scene")
     parser.add_argument("--least", type=float, default=0.5, help="from which on it is genuine")
     parser.add_argument("--json", type=Path, help="write the figures here")
     given = parser.parse_args(words)
+    seeds = SEEDS[given.on]
+    if given.scenes and given.scenes > len(seeds):
+        parser.error(
+            f"--scenes: expected 1 to {len(seeds)} with --on {given.on}, got {given.scenes}"
+        )
     encoders = {
         name or "shipped": Encoder(SETTINGS.get(name, RoiEncoderSettings(weights=name)))
         for name in given.weights
     }
-    pairs = of_scenes(SEEDS[given.on][: given.scenes], given.moments)
+    pairs = of_scenes(seeds[: given.scenes], given.moments)
     if given.data:
         pairs = of_sequence(given.data, given.stride, given.frames)
     team_of = teams_of(given.data) if given.data else team_in_scene

@@ -36,6 +36,7 @@ from pipeline.errors import DriverError, SettingsError
 from pipeline.extras import need
 from pipeline.messages import Detections
 from pipeline.weights import weights_file
+from pipeline.whole_file import try_beside, write_whole
 
 SPLITS = {"test": TEST, "development": DEVELOPMENT}
 SAME_IOU, SAME_PX = 0.3, 12.0
@@ -208,7 +209,7 @@ def write_calibrated(before: Path, after: Path, theta: NDArray[np.float64], on: 
     known = {each.key: each.value for each in model.metadata_props}
     helper.set_model_props(model, known | {"calibrated": on})
     onnx.checker.check_model(model)
-    onnx.save(model, str(after))
+    write_whole(after, model.SerializeToString())
 
 
 def stills_of(folders: Iterable[Path], split: str) -> list[tuple[list[Path], dict[int, str]]]:
@@ -238,6 +239,8 @@ def main(words: Sequence[str] | None = None) -> None:
         parser.error("--calibrate: expected --split development; the test is to measure")
     settings = RoiEncoderSettings(weights=given.weights, least_px=given.least_px)
     encoder = Encoder(settings)
+    if given.calibrate:
+        try_beside(given.calibrate)
     parts = [verified(encoder, *some) for some in stills_of(given.stills, given.split)]
     found = joined(parts)
     rows = table(found, encoder.names)

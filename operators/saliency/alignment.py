@@ -27,6 +27,7 @@ from operators.saliency.saliency import SaliencySettings
 from operators.training.command_line import count, in_a_sentence
 from operators.training.progress import each_of
 from pipeline.errors import WeightsError
+from pipeline.whole_file import try_beside, write_whole
 
 Array = NDArray[np.float32]
 RIDGE = 1e-3  # of the mean variance of a feature
@@ -94,7 +95,7 @@ def mapped(path: Path, matrix: Array, offset: Array, out: Path) -> None:
         helper.make_node("Relu", ["alignment.out"], ["features"], name="alignment.relu")
     )
     onnx.checker.check_model(model)
-    onnx.save(model, out)
+    write_whole(out, model.SerializeToString())
 
 
 @in_a_sentence()
@@ -110,6 +111,7 @@ def main(words: Sequence[str] | None = None) -> None:
     new, old = (Detector(SaliencySettings(weights=str(w))) for w in (given.weights, given.like))
     if not (new.channels and old.channels):
         raise WeightsError(f"{given.weights}: expected two detectors with features, got none")
+    try_beside(given.out)
     scenes = Rendered(rendered_in(given.data), seed=0)
     rows = np.linspace(0, len(scenes) - 1, min(given.pictures, len(scenes))).astype(int)
     mine, theirs = collected(new, old, each_of((scenes.plain(int(k)) for k in rows), "look"))

@@ -29,6 +29,7 @@ from operators.training.splits import HELD_OUT
 from pipeline.errors import SettingsError
 from pipeline.extras import LateModule, need
 from pipeline.inference import Network
+from pipeline.whole_file import try_beside, write_whole
 
 onnx: Any = LateModule("onnx")
 quantization: Any = LateModule("onnxruntime.quantization")
@@ -71,14 +72,14 @@ def quantised_nodes(path: Path) -> list[str]:
 
 
 def quantise(path: Path, pictures: Iterator[Picture], out: Path) -> None:
-    """Write the network at `path` with eight bits, its metadata kept."""
+    """Write the network at `path` with eight bits, its metadata kept; whole or not at all."""
     detector = Detector(SaliencySettings(weights=str(path), threads=1))
     with tempfile.TemporaryDirectory() as folder:
-        ready = Path(folder) / "ready.onnx"
+        ready, small = Path(folder) / "ready.onnx", Path(folder) / "small.onnx"
         prepared.quant_pre_process(path, ready, skip_symbolic_shape=True)
         quantization.quantize_static(
             ready,
-            out,
+            small,
             Pictures(pictures, detector),
             quant_format=quantization.QuantFormat.QDQ,
             per_channel=True,
@@ -87,9 +88,9 @@ def quantise(path: Path, pictures: Iterator[Picture], out: Path) -> None:
             nodes_to_quantize=quantised_nodes(ready),
             calibrate_method=quantization.CalibrationMethod.MinMax,
         )
-    model = onnx.load(out)
+        model = onnx.load(small)
     onnx.helper.set_model_props(model, dict(detector.network.metadata))
-    onnx.save(model, out)
+    write_whole(out, model.SerializeToString())
 
 
 def training_pictures(folder: Path, most: int, *, roi: bool = False) -> Iterator[Picture]:
@@ -125,6 +126,7 @@ def main(words: Sequence[str] | None = None) -> None:
         raise SettingsError(
             f"{given.weights}: reads what changed, which a ROI does not show (--roi)"
         )
+    try_beside(given.out)
     seen = each_of(training_pictures(given.stills, given.pictures, roi=given.roi), "calibrate")
     quantise(given.weights, iter(seen), given.out)
     print(json.dumps({"bytes": given.out.stat().st_size}))

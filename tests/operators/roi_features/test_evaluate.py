@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("torch", reason="needs the train extra")
 from operators.roi_features.data import NOBODY
-from operators.roi_features.evaluate import Look, found_again, team_in_scene, told_apart
+from operators.roi_features.evaluate import Look, found_again, main, team_in_scene, told_apart
 from operators.roi_features.model import CLASSES
 
 
@@ -76,3 +76,10 @@ def test_people_of_a_scene_with_the_same_clothes_are_a_team() -> None:
     assert team_in_scene(1) == team_in_scene(10) != team_in_scene(11)
     assert len({team_in_scene(person) for person in (10, 20, 21, 22, 23)}) == 5
     assert team_in_scene(23) == team_in_scene(25)
+
+
+def test_more_scenes_than_are_held_out_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--on", "validation", "--scenes", "30"])
+
+    assert "--scenes: expected 1 to 20 with --on validation, got 30" in capsys.readouterr().err

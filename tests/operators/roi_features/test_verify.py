@@ -63,7 +63,10 @@ def test_the_figures_of_a_perfect_and_of_a_useless_rating() -> None:
 
 def test_a_calibrated_file_gives_scaled_and_shifted_logits(tmp_path: Path) -> None:
     theta = np.array([np.log(2.0), 1.0, 0.0, -1.0, 0.5])
-    write_calibrated(SHIPPED, tmp_path / "after.onnx", theta, "numbers made up")
+    (tmp_path / "after.onnx").write_text("an encoder that somebody reads")
+    with (tmp_path / "after.onnx").open() as reader:
+        write_calibrated(SHIPPED, tmp_path / "after.onnx", theta, "numbers made up")
+        assert reader.read() == "an encoder that somebody reads"  # replaced, not written over
 
     crops = {"crops": np.random.default_rng(3).random((2, 3, 96, 96), np.float32)}
     before, after = (

@@ -49,8 +49,11 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_map_changes_the_features_and_nothing_else(exported: Path, tmp_path: Path) -> None:
     matrix = np.random.default_rng(3).standard_normal((64, 64)).astype(np.float32)
     before, out = Network(exported, threads=1), tmp_path / "mapped.onnx"
+    out.write_text("a network that somebody reads")
 
-    mapped(exported, matrix, np.ones(64, np.float32), out)
+    with out.open() as reader:
+        mapped(exported, matrix, np.ones(64, np.float32), out)
+        assert reader.read() == "a network that somebody reads"  # replaced, not written over
 
     after = Network(out, threads=1)
     was, now = before(PICTURE), after(PICTURE)

@@ -20,8 +20,11 @@ def test_it_says_nearly_the_same_and_keeps_its_metadata(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     pictures = [rng.integers(0, 256, (270, 480, 3)).astype(np.uint8) for _ in range(2)]
     out = tmp_path / "small.onnx"
+    out.write_text("a network that somebody reads")
 
-    quantise(SHIPPED, ((picture, None) for picture in pictures), out)
+    with out.open() as reader:
+        quantise(SHIPPED, ((picture, None) for picture in pictures), out)
+        assert reader.read() == "a network that somebody reads"  # replaced, not written over
 
     was, now = Network(SHIPPED, threads=1), Network(out, threads=1)
     padded = np.full((1, 3, 288, 480), 114 / 255, np.float32)
@@ -69,6 +72,19 @@ def test_a_network_that_reads_the_difference_is_not_calibrated_with_a_roi(
         main(["--weights", str(path), "--stills", str(tmp_path), "--roi", "--out", str(path)])
 
     assert "which a ROI does not show" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_not_there_is_told_before_the_calibration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = match_of_stills(tmp_path / "stills", "aa_1"), tmp_path / "none" / "small.onnx"
+
+    with pytest.raises(SystemExit):
+        main(["--weights", str(SHIPPED), "--stills", str(folder), "--out", str(out)])
+
+    said = capsys.readouterr().err
+    assert f"{out.parent}: No such file or directory" in said
+    assert "calibrate" not in said  # whose bar would be there
 
 
 def test_what_is_decoded_stays_in_single_precision() -> None:
