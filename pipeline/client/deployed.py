@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from pipeline.client.advising import take_advice
 from pipeline.client.deployed_plan import changed, merged
 from pipeline.client.graph_client import (
     ORDER_S,
@@ -114,8 +115,12 @@ class DeployedGraph(GraphClient):
             )
 
     def swap(self, order: SwapOrder) -> SwapResult:
-        """Replace a node; files are sent as by `fovea up`."""
+        """Replace a node; files are sent as by `fovea up`.
+
+        Raises `FoveaError`, also for settings that the nodes before it do not fit.
+        """
         with self._way(order.node) as (fleet, label):
+            self._take_advice(fleet, order)
             changes, files = carried(order.changes)
             send_files(fleet, label, files)
             order = msgspec.structs.replace(order, changes=changes)
@@ -173,6 +178,14 @@ class DeployedGraph(GraphClient):
     def listen(self, output: str) -> Listener:
         """Return a tap on `node` or `node.output`; raises `RunError` for an unknown output."""
         return RelayedTap(self, self.hosts, output)
+
+    def _take_advice(self, fleet: Fleet, order: SwapOrder) -> None:
+        """Ask for advice with what runs on all hosts; nothing where one of them does not answer."""
+        try:
+            plans, _ = self._plans(fleet)
+        except FoveaError:
+            return
+        take_advice(replace(merged(plans), here=""), order)
 
     def _plans(self, fleet: Fleet) -> tuple[dict[str, Plan], dict[str, int]]:
         """Return the plan that every host runs, and its revision there."""

@@ -15,6 +15,7 @@ from pipeline.bus.ledger import Ledger
 from pipeline.bus.tap import Tap
 from pipeline.class_cache import adapter
 from pipeline.client import detached
+from pipeline.client.advising import take_advice
 from pipeline.client.described import Description
 from pipeline.client.graph_client import (
     ORDER_S,
@@ -26,7 +27,6 @@ from pipeline.client.graph_client import (
     output_of,
 )
 from pipeline.errors import Busy, GraphError, MessageError, RunError, SettingsError
-from pipeline.graph.advice import advised, settings_behind
 from pipeline.graph.plan import Plan
 from pipeline.node.wiring import key_of
 from pipeline.protocol.codec import decode, decode_answer, encode
@@ -48,7 +48,6 @@ from pipeline.protocol.questions import HEALTH, Health, HealthQuestion, NodeQues
 from pipeline.run.bus_client import ask_local, client_session
 from pipeline.run.logs import log_lines
 from pipeline.run.rundir import memory_of, running
-from pipeline.run.swap_target import swapped
 from pipeline.text import harmless
 from pipeline.user_modules import look_in
 
@@ -116,28 +115,9 @@ class LocalGraph(GraphClient):
 
     def swap(self, order: SwapOrder) -> SwapResult:
         """Replace a node; raises `FoveaError`, also for settings that the others do not fit."""
-        self._take_advice(order)
+        if order.node in self.nodes():
+            take_advice(adapter(Plan).validate_python(self.facts["plan"]), order)
         return of_kind(SwapResult, self.tell(order))
-
-    def _take_advice(self, order: SwapOrder) -> None:
-        """Log what the operator warns of; raises `SettingsError` for settings that cannot work.
-
-        Here and not in the node's process, which would keep the imported code of all nodes that it
-        depends on. What fails before that is left to the node, which has its own words for it.
-        """
-        plan = adapter(Plan).validate_python(self.facts["plan"])
-        if order.node not in self.nodes():
-            return
-        wanted = swapped(plan, order, {})
-        node = wanted.node(order.node)
-        try:
-            settings = settings_behind(wanted, node)
-        except Exception:  # of operators' code
-            return
-        with suppress(GraphError):
-            for line in advised(wanted, node, settings) if settings else ():
-                if line.startswith(f"{node.name}: warning: "):
-                    log.warning("%s", line.replace("warning: ", "", 1))
 
     def replan(self, edit: Edit) -> TopologyResult:
         """Apply an edit to the plan of the graph; raises `FoveaError`."""

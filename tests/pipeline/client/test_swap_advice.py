@@ -54,7 +54,7 @@ def test_a_swap_to_settings_that_the_others_do_not_fit_is_refused(
 
         with pytest.raises(SettingsError, match=r"glance\.every: expected at most 64, got 65"):
             swap(65)
-        with caplog.at_level(logging.WARNING, "pipeline.client.local"):
+        with caplog.at_level(logging.WARNING, "pipeline.client.advising"):
             assert swap(2).node == "glance"
             assert caplog.messages == []
             assert swap(33).node == "glance"

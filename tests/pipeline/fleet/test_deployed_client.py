@@ -1,7 +1,7 @@
 """The client of a local graph also listens to and changes a graph over several hosts."""
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import pytest
 from pipeline.client import listening
 from pipeline.client.deployed import DeployedGraph
 from pipeline.client.find import find
-from pipeline.errors import FoveaError, RunError
+from pipeline.errors import FoveaError, RunError, SettingsError
 from pipeline.fleet.deploy import Fleet, down, up
 from pipeline.fleet.hosted_graph import HostedGraph, change, check_inside
 from pipeline.fleet.remembered import remembered
@@ -28,6 +28,7 @@ from tests.pipeline.fleet.agents import (
     state_of,
 )
 from tests.sample_graphs import until
+from tests.samples import Pass, WorkSettings
 
 pytestmark = pytest.mark.hosts
 
@@ -143,6 +144,31 @@ def test_a_swap_survives_restarts_of_the_graph_and_of_the_agent(
     until(lambda: phases(fleet, "brain", "duo") == ["running"])
     until(work_has_state)
     goes_on(fleet, "brain", "tally")
+
+
+def test_a_swap_asks_for_advice_with_what_runs_on_all_hosts(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def advise(
+        cls: type, settings: WorkSettings, upstream: Mapping[str, Any]
+    ) -> Iterable[str]:  # only this process asks
+        rate_hz = upstream["frame"].rate_hz
+        if settings.every > rate_hz:
+            raise SettingsError(f"every: expected at most {rate_hz:.0f}, got {settings.every}")
+        return ["warning: few pictures"] if settings.every > 1 else []
+
+    monkeypatch.setattr(Pass, "advise", classmethod(advise))
+    client = find("duo")
+    until(lambda: handled(fleet, "brain", "count", "duo") > 10)
+
+    said = refusal(lambda: client.swap(SwapOrder(node="work", changes={"every": 31})))
+
+    assert said == "work.every: expected at most 30, got 31"
+    assert client.configure("work", {}).settings["every"] == 1
+    with caplog.at_level("WARNING", "pipeline.client.advising"):
+        client.swap(SwapOrder(node="work", changes={"every": 2}))
+    assert caplog.messages == ["work: few pictures"]
+    assert client.configure("work", {}).settings["every"] == 2
 
 
 def test_a_change_is_undone_when_the_next_host_does_not_answer(
