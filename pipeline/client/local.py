@@ -115,9 +115,12 @@ class LocalGraph(GraphClient):
 
     def swap(self, order: SwapOrder) -> SwapResult:
         """Replace a node; raises `FoveaError`, also for settings that the others do not fit."""
+        plan = adapter(Plan).validate_python(self.facts["plan"])
         if order.node in self.nodes():
-            take_advice(adapter(Plan).validate_python(self.facts["plan"]), order)
-        return of_kind(SwapResult, self.tell(order))
+            take_advice(plan, order)
+        result = of_kind(SwapResult, self.tell(order))
+        self._tell_how_long(plan)
+        return result
 
     def replan(self, edit: Edit) -> TopologyResult:
         """Apply an edit to the plan of the graph; raises `FoveaError`."""
@@ -127,7 +130,17 @@ class LocalGraph(GraphClient):
         result = of_kind(TopologyResult, self.tell(order))
         with suppress(RunError):  # it may have ended since
             self._facts = self.facts  # the graph wrote down its nodes before it answered
+        self._tell_how_long(wanted)
         return result
+
+    def _tell_how_long(self, plan: Plan) -> None:
+        """Log that a change of a part of a deployed graph, made here, is not kept by its agent."""
+        if plan.here:
+            whole = self.name.partition("@")[0]
+            log.warning(
+                "%s: lasts until this part starts again; a change of %s where it was brought up "
+                "is kept", self.name, whole,
+            )  # fmt: skip
 
     def add(self, file: Path) -> TopologyResult:
         """Add the nodes of a file; operators are also searched for where the graph was started."""

@@ -171,6 +171,21 @@ def test_a_swap_asks_for_advice_with_what_runs_on_all_hosts(
     assert client.configure("work", {}).settings["every"] == 2
 
 
+def test_a_change_of_a_part_on_its_own_host_is_told_to_last_until_it_starts_again(
+    fleet: Fleet, caplog: pytest.LogCaptureFixture
+) -> None:
+    until(lambda: handled(fleet, "brain", "count", "duo") > 10)
+
+    with caplog.at_level("WARNING", "pipeline.client.local"):
+        find("duo@brain").swap(SwapOrder(node="work", changes={"every": 2}))
+        find("duo").swap(SwapOrder(node="work", changes={"every": 1}))
+
+    assert caplog.messages == [
+        "duo@brain: lasts until this part starts again; a change of duo where it was brought up "
+        "is kept"
+    ]
+
+
 def test_a_change_is_undone_when_the_next_host_does_not_answer(
     two: dict[str, Running], fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
