@@ -221,3 +221,35 @@ def test_a_full_disk_is_told_with_the_file_and_leaves_what_was_there(tmp_path: P
     assert refused.value.filename == str(path)
     assert path.read_text() == "before"
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.json"]
+
+
+def test_a_name_that_is_taken_is_not_written_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("secrets.token_hex", lambda _: "chosen")
+    theirs = tmp_path / ".fovea-chosen.part"
+    theirs.write_text("somebody's")
+
+    with pytest.raises(FileExistsError):
+        write_whole(tmp_path / "out", "data")
+
+    assert theirs.read_text() == "somebody's"
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("durable", [True, False])
+def test_what_has_to_survive_a_power_failure_is_on_the_disk_before_it_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, durable: bool
+) -> None:
+    path, on_disk, sync = tmp_path / "out", [], os.fsync
+
+    def fsync(handle: int) -> None:
+        sync(handle)
+        on_disk.append((os.fstat(handle).st_size, path.exists()))
+
+    monkeypatch.setattr("os.fsync", fsync)
+
+    write_whole(path, "data", durable=durable)
+
+    assert on_disk == ([(4, False)] if durable else [])
+    assert path.read_text() == "data"
