@@ -190,6 +190,28 @@ def test_weights_without_an_address_need_a_mirror(tmp_path: Path) -> None:
         pull(["net"], folder=tmp_path, manifest=manifest_of(tmp_path))
 
 
+def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    manifest = manifest_of(tmp_path)
+
+    with pytest.raises(WeightsError, match=r"weights\.toml.*: cannot keep weights there: "):
+        pull(["net"], folder=manifest / "kept", manifest=manifest)
+
+
+@pytest.mark.parametrize("mirrored", [True, False])
+def test_without_names_all_that_can_be_had_are_pulled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mirrored: bool
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr("pipeline.weights.pull", lambda names, *_, **__: asked.extend(names) or [])
+    mirror = ["--mirror", str(tmp_path)] if mirrored else []
+
+    done = CliRunner().invoke(weights_commands, ["pull", *mirror])
+
+    assert done.exit_code == 0
+    assert asked == [name for name, entry in entries().items() if mirrored or entry.url]
+    assert not all(entry.url for entry in entries().values())  # so that the two differ
+
+
 def test_pulling_is_proposed_only_for_a_file_that_the_manifest_names(tmp_path: Path) -> None:
     manifest = manifest_of(tmp_path)
 
