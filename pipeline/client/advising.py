@@ -19,6 +19,8 @@ def take_advice(plan: Plan, order: SwapOrder) -> None:
     that it depends on. What fails before that, also since an operator is not installed here, is
     left to the node, which has its own words for it.
     """
+    if order.node not in {node.name for node in plan.nodes}:
+        return  # removed meanwhile
     wanted = swapped(plan, order, {})
     node = wanted.node(order.node)
     try:

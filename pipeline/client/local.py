@@ -116,8 +116,7 @@ class LocalGraph(GraphClient):
     def swap(self, order: SwapOrder) -> SwapResult:
         """Replace a node; raises `FoveaError`, also for settings that the others do not fit."""
         plan = adapter(Plan).validate_python(self.facts["plan"])
-        if order.node in self.nodes():
-            take_advice(plan, order)
+        take_advice(plan, order)
         result = of_kind(SwapResult, self.tell(order))
         self._tell_how_long(plan)
         return result
