@@ -45,8 +45,10 @@ class Restarts:
         if self._manager.failure:
             return
         to_read = self._manager.run_folder.to_read(managed.name)
-        log.warning("%s ended by %s, see %s", managed.name, how, to_read)
         why = self._follow(managed, how, now_s, succeeded=succeeded, unborn=unborn)
+        log.warning(
+            "%s ended by %s, see %s%s", managed.name, how, to_read, self._next(managed, now_s)
+        )
         self._manager.note()
         if why:
             self._manager.failure = f"{managed.name} {why}" + (f": {last}" if last else "")
@@ -73,18 +75,35 @@ class Restarts:
             manager.finished_sources |= managed.sources
             last = manager.finished and not (before or succeeded or manager.ending)
             return f"ended by {how}: no source is left" if last else ""
-        recent = sum(1 for death in managed.deaths if now_s - death < rule.window_s)
-        if recent > max(rule.most, self.at_least):
+        recent = _recent(managed, now_s)
+        if recent > self._most(managed):
             return f"died {recent} times within {rule.window_s:.0f} s"
         managed.next_start_s = now_s + _pause_s(rule, managed.quick_deaths)
         manager.restarts[managed.name] = manager.restarts.get(managed.name, 0) + 1
         return ""
+
+    def _next(self, managed: ManagedProcess, now_s: float) -> str:
+        """Return when it starts again, as the end of a sentence; empty if it does not."""
+        if not managed.next_start_s:
+            return ""
+        pause_s, window_s = managed.next_start_s - now_s, managed.nodes[0].restart.window_s
+        times = f"{_recent(managed, now_s)} of {self._most(managed)} times in {window_s:g} s"
+        return f"; starts again in {pause_s:.2g} s ({times})"
+
+    def _most(self, managed: ManagedProcess) -> int:
+        return max(managed.nodes[0].restart.most, self.at_least)
 
     def _count(self, managed: ManagedProcess, now_s: float) -> None:
         managed.deaths.append(now_s)
         lived = managed.going_since_s and now_s - managed.going_since_s > HEALTHY_S
         managed.quick_deaths = 0 if lived else managed.quick_deaths + 1
         managed.going_since_s = 0.0
+
+
+def _recent(managed: ManagedProcess, now_s: float) -> int:
+    """Return how often a process ended within the window of its rule."""
+    window_s = managed.nodes[0].restart.window_s
+    return sum(1 for death in managed.deaths if now_s - death < window_s)
 
 
 def _pause_s(rule: Restart, quick_deaths: int) -> float:

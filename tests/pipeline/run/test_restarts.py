@@ -185,16 +185,44 @@ def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
     )
 
 
+def manager_of(clock: str = "realtime") -> Any:
+    """Return what restarts ask of a manager."""
+    return SimpleNamespace(
+        plan=SimpleNamespace(clock=clock), restarts={}, crashes={}, failure="",
+        run_folder=SimpleNamespace(to_read=lambda _: "`its log`"), is_unborn=lambda _: False,
+        vacate=lambda _: None, note=lambda: None, sources_wait=False, finished=False,
+        finished_sources=frozenset(), ending=False,
+    )  # fmt: skip
+
+
+def eye(**rule: Any) -> ManagedProcess:
+    """Return a process of one node with a restart policy."""
+    node = Node(index=0, name="eye", operator="m:Eye", settings={}, restart=Restart(**rule))
+    return ManagedProcess("eye", (node,))
+
+
+def test_the_end_of_a_process_is_told_with_when_it_starts_again(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    restarts, managed = Restarts(manager_of()), eye(most=2, backoff_s=0.1)
+
+    for now_s in (1000.0, 1001.0, 1002.0):
+        restarts.on_end(managed, 1, now_s)
+        managed.next_start_s = 0.0
+    Restarts(manager_of()).on_end(eye(policy="never"), 1, 1000.0)
+
+    begin = "eye ended by exit status 1, see `its log`"
+    assert caplog.messages == [
+        f"{begin}; starts again in 0.2 s (1 of 2 times in 60 s)",
+        f"{begin}; starts again in 0.4 s (2 of 2 times in 60 s)",
+        begin,
+        begin,
+    ]
+
+
 @pytest.mark.parametrize("most", [0, 63, 64, 200])
 def test_a_limit_of_restarts_is_reached_however_high_it_is(most: int) -> None:
-    rule = Restart(most=most, window_s=1000.0, backoff_s=0.001)
-    node = Node(index=0, name="eye", operator="m:Eye", settings={}, restart=rule)
-    managed = ManagedProcess("eye", (node,))
-    manager: Any = SimpleNamespace(
-        plan=SimpleNamespace(clock="realtime"), restarts={}, crashes={}, failure="",
-        run_folder=SimpleNamespace(to_read=lambda _: ""), is_unborn=lambda _: False,
-        vacate=lambda _: None, note=lambda: None, sources_wait=False,
-    )  # fmt: skip
+    managed, manager = eye(most=most, window_s=1000.0, backoff_s=0.001), manager_of()
     restarts = Restarts(manager)
 
     for death in range(most + 1):
