@@ -4,11 +4,13 @@ Around each ball of a SoccerNet folder, by whether it lies still, is free or car
 (bench/tracking/targets.py), and of the stills left out of trainings, a window of 480x270 pixels is
 cut out at full resolution, off the ball's middle at random. Each detector reads it at the width of
 its input, as the `closer` of graphs/tracking.yaml does. Prints in how many windows the ball is
-rated above all else, and above how many of the best false finds of all windows (`pairs`).
+rated above all else, also with left and right exchanged, which shows as much of it, and above how
+many of the best false finds of all windows (`pairs`).
 """
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +83,17 @@ def of_stills(folder: Path, seed: int) -> Iterator[tuple[str, Labelled]]:
                 yield "left out", window(still.picture, ball, rng)
 
 
+def mirrored(part: Labelled) -> Labelled:
+    """Return a window with left and right exchanged."""
+    width = part.picture.shape[1]
+    ends = part.boxes[:, [2, 1, 0, 3]] * np.array([-1, 1, -1, 1], np.float32)
+    return replace(
+        part,
+        picture=np.ascontiguousarray(part.picture[:, ::-1]),
+        boxes=ends + np.array([width, 0, width, 0], np.float32),
+    )
+
+
 def best_scores(found: Found, ball: Array, gain: float = 1.0) -> tuple[float, float]:
     """Return the best score of a find at the ball (4,), and of one elsewhere; 0 without one.
 
@@ -103,13 +116,18 @@ def rated(looker: Looker, parts: Sequence[tuple[str, Labelled]]) -> dict[str, li
     return found
 
 
-def row_of(version: str, state: str, scores: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    """Return the figures of a detector over the windows of one state."""
+def row_of(
+    version: str, state: str, scores: Sequence[tuple[float, float]],
+    turned: Sequence[tuple[float, float]],
+) -> dict[str, Any]:  # fmt: skip
+    """Return the figures of a detector over the windows of one state, and those mirrored."""
     true, false = np.array(scores).T
+    also, beside = np.array(turned).T
     both, which = np.concatenate([true, false]), np.arange(2 * len(true)) < len(true)
     return {
         "detector": version, "ball": state, "windows": len(true),
         "rated best": round(float((true > false).mean()), 3),
+        "mirrored": round(float((also > beside).mean()), 3),
         "pairs": round(area(both, which), 3),
     }  # fmt: skip
 
@@ -132,13 +150,15 @@ def main(
     parts += of_stills(football, seed) if football else []
     if not parts:
         raise SettingsError("expected balls in what was given, got none")
+    turned = [(state, mirrored(part)) for state, part in parts]
     rows = []
     for version in versions:
         name, file, input_px = named(version)
         usual = Looker(file, {}, 1.0, 1, FLOOR, input_px)
         looker = Looker(file, {}, usual.input_px[0] / WINDOW_PX[0], 1, FLOOR, input_px)
         looker.known(BALL)
-        rows += [row_of(name, *of) for of in sorted(rated(looker, parts).items())]
+        also = rated(looker, turned)
+        rows += [row_of(name, *of, also[of[0]]) for of in sorted(rated(looker, parts).items())]
     Console().print(table("the ball rated best of what a ROI shows", rows))
     if path:
         told = [str(folder.name) for folder in (sequence, football) if folder]

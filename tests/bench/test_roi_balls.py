@@ -8,8 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 from bench.detector_scoring import Found
-from bench.roi_balls import NEAR_PX, best_scores, main, row_of, window
+from bench.roi_balls import NEAR_PX, best_scores, main, mirrored, row_of, window
 from bench.second_look import WINDOW_PX
+from operators.training.stills import Labelled
 from tests.bench.test_ball_candidates import FRAMES, GT, ROLES, weights
 from tests.drivers.sequences import write_sequence
 
@@ -30,6 +31,21 @@ def test_a_window_shows_the_ball_where_it_is(corner: tuple[int, int]) -> None:
         assert part.picture.sum() == 255 * 3 * 100
 
 
+def test_a_mirrored_window_shows_the_ball_on_the_other_side() -> None:
+    picture = np.zeros((30, 100, 3), np.uint8)
+    picture[5:9, 10:16] = 255
+    part = Labelled(
+        picture=picture, boxes=np.array([[10, 5, 16, 9]], np.float32), numbers=np.array([0])
+    )
+
+    other = mirrored(part)
+
+    assert other.boxes.tolist() == [[84, 5, 90, 9]]
+    assert other.picture[5:9, 84:90].min() == 255
+    assert mirrored(other).boxes.tolist() == part.boxes.tolist()
+    assert (mirrored(other).picture == picture).all()
+
+
 def test_what_is_found_beside_the_ball_is_another_thing() -> None:
     ball = np.array([100, 100, 112, 112], np.float32)
     reach = 6 + NEAR_PX
@@ -41,9 +57,9 @@ def test_what_is_found_beside_the_ball_is_another_thing() -> None:
 
 
 def test_ties_are_not_rated_best_and_count_half_of_a_pair() -> None:
-    row = row_of("a", "still", [(0.5, 0.5), (0.9, 0.1)])
+    row = row_of("a", "still", [(0.5, 0.5), (0.9, 0.1)], [(0.2, 0.5), (0.4, 0.4)])
 
-    assert (row["windows"], row["rated best"]) == (2, 0.5)
+    assert (row["windows"], row["rated best"], row["mirrored"]) == (2, 0.5, 0.0)
     assert row["pairs"] == (0.5 + 1 + 1 + 1) / 4
 
 
