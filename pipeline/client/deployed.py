@@ -22,7 +22,7 @@ from pipeline.client.graph_client import (
 )
 from pipeline.client.local import judged, of_kind
 from pipeline.client.relayed import RelayedTap
-from pipeline.errors import FoveaError, RunError, Silent
+from pipeline.errors import FoveaError, RunError, SettingsError, Silent
 from pipeline.fleet.deploy import Fleet, carried, down, portable, send_weights
 from pipeline.fleet.hosted_graph import ends_of
 from pipeline.fleet.hosts import Hosts
@@ -115,10 +115,7 @@ class DeployedGraph(GraphClient):
             )
 
     def swap(self, order: SwapOrder) -> SwapResult:
-        """Replace a node; files are sent as by `fovea up`.
-
-        Raises `FoveaError`, also for settings that the nodes before it do not fit.
-        """
+        """Replace a node; files are sent as by `fovea up`."""
         with self._way(order.node) as (fleet, label):
             self._take_advice(fleet, order)
             changes, files = carried(order.changes)
@@ -180,12 +177,17 @@ class DeployedGraph(GraphClient):
         return RelayedTap(self, self.hosts, output)
 
     def _take_advice(self, fleet: Fleet, order: SwapOrder) -> None:
-        """Ask for advice with what runs on all hosts; nothing where one of them does not answer."""
+        """Log what the operator says beside what runs on all hosts, if all of them answer.
+
+        It refuses nothing: the settings that a host's own file gives its nodes are not known here.
+        """
         try:
             plans, _ = self._plans(fleet)
+            take_advice(replace(merged(plans), here=""), order)
+        except SettingsError as error:
+            log.warning("%s", error)
         except FoveaError:
             return
-        take_advice(replace(merged(plans), here=""), order)
 
     def _plans(self, fleet: Fleet) -> tuple[dict[str, Plan], dict[str, int]]:
         """Return the plan that every host runs, and its revision there."""
