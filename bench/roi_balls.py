@@ -116,18 +116,22 @@ def rated(looker: Looker, parts: Sequence[tuple[str, Labelled]]) -> dict[str, li
     return found
 
 
+def rated_best(scores: Sequence[tuple[float, float]]) -> float:
+    """Return the share of windows in which the ball's score is above the best elsewhere."""
+    true, false = np.array(scores).T
+    return round(float((true > false).mean()), 3)
+
+
 def row_of(
     version: str, state: str, scores: Sequence[tuple[float, float]],
     turned: Sequence[tuple[float, float]],
 ) -> dict[str, Any]:  # fmt: skip
     """Return the figures of a detector over the windows of one state, and those mirrored."""
     true, false = np.array(scores).T
-    also, beside = np.array(turned).T
     both, which = np.concatenate([true, false]), np.arange(2 * len(true)) < len(true)
     return {
         "detector": version, "ball": state, "windows": len(true),
-        "rated best": round(float((true > false).mean()), 3),
-        "mirrored": round(float((also > beside).mean()), 3),
+        "rated best": rated_best(scores), "mirrored": rated_best(turned),
         "pairs": round(area(both, which), 3),
     }  # fmt: skip
 
@@ -157,8 +161,8 @@ def main(
         usual = Looker(file, {}, 1.0, 1, FLOOR, input_px)
         looker = Looker(file, {}, usual.input_px[0] / WINDOW_PX[0], 1, FLOOR, input_px)
         looker.known(BALL)
-        also = rated(looker, turned)
-        rows += [row_of(name, *of, also[of[0]]) for of in sorted(rated(looker, parts).items())]
+        as_seen, exchanged = rated(looker, parts), rated(looker, turned)
+        rows += [row_of(name, s, as_seen[s], exchanged[s]) for s in sorted(as_seen)]
     Console().print(table("the ball rated best of what a ROI shows", rows))
     if path:
         told = [str(folder.name) for folder in (sequence, football) if folder]

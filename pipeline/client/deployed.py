@@ -177,7 +177,7 @@ class DeployedGraph(GraphClient):
         return RelayedTap(self, self.hosts, output)
 
     def _take_advice(self, fleet: Fleet, order: SwapOrder) -> None:
-        """Log what the operator says beside what runs on all hosts, if all of them answer.
+        """Log what the operator says beside what runs on all hosts, if they answer within 5 s.
 
         It refuses nothing: the settings that a host's own file gives its nodes are not known here.
         """

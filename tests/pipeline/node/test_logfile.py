@@ -1,4 +1,4 @@
-"""The log of a process takes its output wherever it comes from, and costs the user nothing else."""
+"""The log of a process takes all of its output, is private and bounded, and never ends it."""
 
 import os
 import subprocess
