@@ -37,7 +37,7 @@ def whole_file(path: Path, *, secret: bool = False, durable: bool = False) -> It
 
 
 def write_whole(
-    path: Path, data: bytes | str, *, secret: bool = False, durable: bool = False
+    path: Path, data: bytes | memoryview | str, *, secret: bool = False, durable: bool = False
 ) -> None:
     """Write a file atomically; raises `OSError` as `whole_file` does, always with the file."""
     try:

@@ -18,6 +18,7 @@ from operators.acting.training_settings import TrainSettings
 from operators.training.arrays import Arrays
 from operators.training.checkpoint import Progress, left, path_in
 from operators.training.device import device_of, moved
+from operators.training.folder import open_folder
 from operators.training.identity import Identity, of_settings
 from operators.training.log import EVERY, note, shorten
 from operators.training.progress import Phases, bar
@@ -34,7 +35,7 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Act
     """Record missing trials and train both rounds; write checkpoints, logs and acting.onnx."""
     s = settings
     torch.set_num_threads(s.threads)
-    s.out.mkdir(parents=True, exist_ok=True)
+    open_folder(s.out)
     device_of(s.device)
     paths: list[Path] = []
     weights: Path | None = None
@@ -58,7 +59,7 @@ def _trained(
     s: TrainSettings, known: Arrays, identity: Identity, phase: str, say: Callable[[str], None]
 ) -> ActingNet:
     """One round: the remaining steps of a training on all moments so far."""
-    s.out.mkdir(parents=True, exist_ok=True)
+    open_folder(s.out)
     device = device_of(s.device)
     torch.manual_seed(s.seed)
     net = ActingNet(channels=known["appearance"].shape[-1], joints=known["joints"].shape[-1])

@@ -27,6 +27,7 @@ from operators.manipulation.picture import PICTURE_PX, place
 from operators.manipulation.training_settings import TrainSettings
 from operators.training.checkpoint import Progress, left, path_in, take
 from operators.training.device import device_of, moved
+from operators.training.folder import open_folder
 from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
 from operators.training.progress import Phases, bar
@@ -69,7 +70,7 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Non
     """Record missing demonstrations, train the remaining steps, write checkpoint, log, network."""
     s = settings
     torch.set_num_threads(s.threads)
-    s.out.mkdir(parents=True, exist_ok=True)
+    open_folder(s.out)
     device = device_of(s.device)
     identity = of_settings(s, "trials") | made_with(s.frames)
     left(path_in(s.out), identity)  # fail before the recording

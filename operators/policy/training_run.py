@@ -33,6 +33,7 @@ from operators.policy.tokens import Array, Objects, batched
 from operators.policy.training_settings import TrainSettings
 from operators.training.checkpoint import Progress, left, path_in
 from operators.training.device import device_of, moved
+from operators.training.folder import open_folder
 from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
 from operators.training.progress import Phases, bar
@@ -143,7 +144,7 @@ def coverage(net: PolicyNet, clips: Clips, *, count: int, seed: int) -> dict[str
 def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> PolicyNet:
     """Record missing clips, train the remaining steps, write checkpoint and log."""
     torch.set_num_threads(settings.threads)
-    settings.out.mkdir(parents=True, exist_ok=True)
+    open_folder(settings.out)
     device_of(settings.device)  # fail before the recording, not after it
     left(path_in(settings.out), identity_of(settings))  # fail early, too
     began = time.monotonic()
@@ -167,7 +168,8 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
                 if run.step % EVERY == 0:
                     note(log, run.step, run.elapsed_s, {"loss": loss, "utility": gained})
                 shown.step(f"round {number} loss {loss:.3f} utility {gained:.3f}")
-                run.save_when_due()
+                if run.step % per_round:  # at the end of a round it is saved with the new roller
+                    run.save_when_due()
             run.hand_over()
             run.save()
             del pool  # free it before the next one

@@ -156,19 +156,19 @@ def prepare(folder: Path, stills: Iterable[Path], phase: str) -> list[Path]:
         made = made_with() | {"stills": contents(found), "first": str(first)}
         for path in found:
             claim(wanted, folder / f"{place.name}_{path.stem}.npz", path)
-        files = dict(list(wanted.items())[first:])
-        if outdated(files, made, print):
-            write_all(files, class_names(place / "data.yaml"), first, made, phase)
+        numbers = {file: FIRST_SCENE + k for k, file in enumerate(wanted) if k >= first}
+        if missing := outdated(numbers, made, print):
+            files = {file: (numbers[file], wanted[file]) for file in missing}
+            write_all(files, class_names(place / "data.yaml"), made, phase)
     return list(wanted)
 
 
 def write_all(
-    files: Mapping[Path, Path], names: Mapping[int, str], first: int, made: Identity, phase: str
+    files: Mapping[Path, tuple[int, Path]], names: Mapping[int, str], made: Identity, phase: str
 ) -> None:
-    """Write the crops of stills, each to its file; `first` is the number of the first one."""
-    looks = zip(files.items(), detected(files.values()), strict=True)
-    for place, ((file, path), seen) in enumerate(each_of(looks, phase, len(files))):
-        number = FIRST_SCENE + first + place
+    """Write the crops of stills: each file's number and still."""
+    looks = zip(files.items(), detected(still for _, still in files.values()), strict=True)
+    for (file, (number, path)), seen in each_of(looks, phase, len(files)):
         picture, truth = truth_of(path, names)
         found = candidates_of(picture, truth, seen, np.random.default_rng([number, 6]))
         write(file, vars(cut_out(found, number, 0)), made)

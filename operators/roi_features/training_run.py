@@ -26,6 +26,7 @@ from operators.roi_features.model import CLASSES, EncoderNet, load_imagenet
 from operators.roi_features.training_settings import OF_SCENE, TrainSettings
 from operators.training import checkpoint
 from operators.training.device import device_of, moved
+from operators.training.folder import open_folder
 from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
@@ -171,7 +172,7 @@ class Run(checkpoint.Progress):
 def train(settings: TrainSettings) -> EncoderNet:
     """Render missing crops, train the remaining steps, write checkpoint and log."""
     torch.set_num_threads(settings.threads)
-    settings.out.mkdir(parents=True, exist_ok=True)
+    open_folder(settings.out)
     run = Run(settings)
     run.resume()  # another training is refused now, and not after the drawing
     seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)

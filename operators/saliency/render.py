@@ -161,7 +161,6 @@ def convert(footage: Path, frames: tuple[int, int], folder: Path) -> int:
 def _write(examples: Sequence[Example], path: Path, made: Identity) -> None:
     none = np.zeros(CONTEXT_PX[::-1], np.float32)
     kept = [packed(e.picture, none if e.difference is None else e.difference) for e in examples]
-    np.save(path.with_suffix(".npy"), np.stack(kept))
     truth = {
         "known": np.array([e.difference is not None for e in examples]),  # if there is one
         "first": np.cumsum([0, *(len(e.labels) for e in examples)]),
@@ -169,7 +168,7 @@ def _write(examples: Sequence[Example], path: Path, made: Identity) -> None:
         "labels": np.concatenate([e.labels for e in examples]),
         "ignored": np.concatenate([e.ignored for e in examples]),
     }
-    write(path, truth, made)  # last: its presence says that the pictures are complete
+    write(path, truth, made, np.stack(kept))
 
 
 @in_a_sentence()

@@ -27,6 +27,7 @@ from operators.saliency.training_settings import TrainSettings
 from operators.training import checkpoint
 from operators.training.averaging import follow, groups
 from operators.training.device import device_of
+from operators.training.folder import open_folder
 from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
@@ -140,7 +141,7 @@ def contents(files: Sequence[Path]) -> str:
 def train(settings: TrainSettings) -> Run:
     """Render missing scenes, then train until the limit of steps or minutes."""
     torch.set_num_threads(settings.threads)
-    settings.out.mkdir(parents=True, exist_ok=True)
+    open_folder(settings.out)
     run = Run(settings)
     run.resume()  # another training is refused now, and not after the drawing
     seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)

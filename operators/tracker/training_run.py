@@ -19,6 +19,7 @@ from operators.tracker.template import INPUTS, OUTPUTS
 from operators.tracker.training_settings import TrainSettings
 from operators.training import checkpoint
 from operators.training.device import device_of
+from operators.training.folder import open_folder
 from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
@@ -88,7 +89,7 @@ def kept(settings: TrainSettings) -> Run:
 def train(settings: TrainSettings) -> Run:
     """Make missing pieces, train the remaining steps, write checkpoint and log."""
     torch.set_num_threads(settings.threads)
-    settings.out.mkdir(parents=True, exist_ok=True)
+    open_folder(settings.out)
     run = Run(settings)
     run.resume()  # another training is refused now, and not after the drawing
     files = prepare(

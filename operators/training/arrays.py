@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,18 +12,29 @@ from numpy.typing import NDArray
 
 from operators.training.identity import Identity, differing
 from pipeline.errors import DriverError
-from pipeline.whole_file import whole_file
+from pipeline.whole_file import write_whole
 
 Arrays = dict[str, NDArray[Any]]
 MADE_WITH = "made_with"
 Source = TypeVar("Source")  # what a file is made of
 
 
-def write(path: Path, arrays: Mapping[str, NDArray[Any]], made: Identity) -> None:
-    """Keep arrays, and what they were made with."""
-    told = {MADE_WITH: np.array(json.dumps(dict(made)))}
-    with whole_file(path) as file:
-        np.savez(file, allow_pickle=False, **arrays, **told)
+def write(
+    path: Path, arrays: Mapping[str, NDArray[Any]], made: Identity,
+    pictures: NDArray[np.uint8] | None = None,
+) -> None:  # fmt: skip
+    """Keep arrays, what they were made with, and pictures beside them, as `mapped` reads them.
+
+    A training that has mapped the former pictures keeps them. Raises `OSError`, with the file.
+    """
+    if pictures is not None:
+        path.unlink(missing_ok=True)  # it would say that the new pictures are as the former were
+        kept = BytesIO()  # into a file on a full disk, NumPy does not say what is wrong
+        np.save(kept, pictures, allow_pickle=False)
+        write_whole(path.with_suffix(".npy"), kept.getbuffer())
+    told, whole = {MADE_WITH: np.array(json.dumps(dict(made)))}, BytesIO()
+    np.savez(whole, allow_pickle=False, **arrays, **told)
+    write_whole(path, whole.getbuffer())
 
 
 def read(path: Path) -> Arrays:

@@ -1,6 +1,7 @@
 """Checkpoints of trainings: written atomically, readable on any device."""
 
 import time
+import zipfile
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
@@ -94,9 +95,18 @@ def take(path: Path, parts: Mapping[str, Stateful], state: Mapping[str, Any] | N
             raise WeightsError(f"{path}: expected this training's {name}, got another's") from error
 
 
+def check_parts(path: Path) -> None:
+    """Raise `ValueError` for a file with a part that is damaged, which torch would load."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as parts:
+            if damaged := parts.testzip():
+                raise ValueError(f"a damaged part, {damaged}")
+
+
 def read(path: Path) -> Mapping[str, Any]:
     """What `torch.save` wrote of a network or a training; raises `WeightsError` otherwise."""
     try:
+        check_parts(path)
         # on the processor, wherever it was written: that device may not be here
         state = torch.load(path, weights_only=True, map_location="cpu")
     except Exception as error:  # torch raises many kinds for what is no state dict

@@ -51,6 +51,7 @@ def in_a_sentence(interrupted: str = "interrupted") -> Iterator[None]:
     except OSError as error:  # a full disk, a file that is not ours
         _end(f"{error.filename}: {error.strerror}" if error.filename else str(error), REFUSED)
     except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one would end it with a traceback
         _end(interrupted, INTERRUPTED)
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -1,11 +1,21 @@
 """Errors of the processes that prepare a training's batches, as sentences."""
 
+import signal
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
 from pipeline.errors import FoveaError
 
 T = TypeVar("T")
+
+
+def _begun(batches: Iterable[T]) -> Iterator[T]:
+    """Begin a loader whose processes never get a Ctrl-C: their end is the training's to tell."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return iter(batches)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def in_sentences(batches: Iterable[T]) -> Iterator[T]:
@@ -21,7 +31,7 @@ def in_sentences(batches: Iterable[T]) -> Iterator[T]:
     pipeline.errors.FoveaError: a: b
     """
     try:
-        yield from batches
+        yield from _begun(batches)
     except FoveaError as error:
         name = f"{type(error).__module__}.{type(error).__qualname__}: "
         raise type(error)(str(error).rstrip().rpartition(name)[2]) from None

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from pipeline.whole_file import write_whole
+
 EVERY = 20
 
 
@@ -20,10 +22,15 @@ def shorten(log: Path, step: int) -> None:
     if not log.exists():
         return
     header, *lines = log.read_text().splitlines() or [""]
-    told = [(line.partition(",")[0], line) for line in lines]
-    # a line without a number was torn by a power failure
-    kept = [line for number, line in told if number.isdigit() and int(number) <= step]
+    kept, last = list[str](), -1
+    for line in lines:
+        number = line.partition(",")[0]
+        # a line that is no whole one was torn by a full disk or a power failure
+        whole = number.isdigit() and line.count(",") == header.count(",")
+        if whole and last < int(number) <= step:
+            kept.append(line)
+            last = int(number)
     if kept:
-        log.write_text("".join(f"{line}\n" for line in [header, *kept]))
+        write_whole(log, "".join(f"{line}\n" for line in [header, *kept]))
     else:  # its header may be torn too
         log.unlink()

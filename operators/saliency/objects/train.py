@@ -14,6 +14,7 @@ import numpy as np
 
 from operators.saliency.objects.data import CHECK_SEEDS, TRAIN_SEEDS, Boxes, maps_of, pictures
 from operators.training.command_line import in_a_sentence
+from operators.training.folder import open_folder
 from operators.training.progress import Phases, bar, tracked
 from pipeline.extras import need
 
@@ -53,7 +54,7 @@ def train(
     from operators.training.schedule import warmed_cosine
 
     torch.set_num_threads(threads)
-    out.mkdir(parents=True, exist_ok=True)
+    open_folder(out)
     seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + trials)
     drawn = [pictures(each, count) for each in tracked(seeds, PHASES["draw contexts"])]
     shown, boxes = (np.concatenate(part) for part in zip(*drawn, strict=True))

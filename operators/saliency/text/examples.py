@@ -71,10 +71,9 @@ def made_of_streets(stills: Sequence[Path] = ()) -> Identity:
 def _draw(path: Path, made: Identity, how: Callable[[int], list[Picture]]) -> None:
     cv2.setNumThreads(1)
     pictures = how(int(path.stem))
-    np.save(path.with_suffix(".npy"), np.stack([p.pixels for p in pictures]))
     truth = {
         "first": np.cumsum([0, *(len(p.quads) for p in pictures)]),
         "quads": np.concatenate([p.quads for p in pictures]),
         "ignored": np.concatenate([p.ignored for p in pictures]),
     }
-    write(path, truth, made)  # last: its presence says that the pictures are complete
+    write(path, truth, made, np.stack([p.pixels for p in pictures]))

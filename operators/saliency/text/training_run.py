@@ -26,6 +26,7 @@ from operators.saliency.text.streets import Picture
 from operators.training import checkpoint
 from operators.training.averaging import follow, groups
 from operators.training.device import device_of
+from operators.training.folder import open_folder
 from operators.training.identity import Identity, of_settings
 from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
@@ -108,7 +109,7 @@ def _drawn(
 def train(settings: TextTrainSettings) -> Run:
     """Draw missing pictures, then train until the limit of steps or minutes."""
     torch.set_num_threads(settings.threads)
-    settings.out.mkdir(parents=True, exist_ok=True)
+    open_folder(settings.out)
     run = Run(settings)
     run.resume()  # another training is refused now, and not after the drawing
     source = source_of(settings)

@@ -98,6 +98,27 @@ def test_training_increases_the_utility_and_writes_log_plot_and_weights(tmp_path
 
 
 @pytest.mark.usefixtures("clips")
+def test_a_training_that_is_killed_at_the_end_of_a_round_begins_the_next_one_alike(
+    tmp_path: Path,
+) -> None:
+    given = settings(tmp_path, iterations=24)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(checkpoint, "EVERY_S", 0.0)
+        patch.setattr(training.Run, "hand_over", killed_in_training)
+        with pytest.raises(KeyboardInterrupt):
+            train(given, say=lambda _: None)
+
+    state = checkpoint.read(checkpoint.path_in(given.out))
+    assert state["step"] == 24 // training.ROUNDS - 1  # the round is not over with its last step
+
+
+def killed_in_training(run: Run) -> None:
+    if hasattr(run, "step"):  # not while it begins
+        raise KeyboardInterrupt
+
+
+@pytest.mark.usefixtures("clips")
 def test_an_interrupted_training_ends_like_an_uninterrupted_one(tmp_path: Path) -> None:
     whole = train(settings(tmp_path, out=tmp_path / "whole", iterations=24), say=lambda _: None)
     first = settings(tmp_path, out=tmp_path / "parts", iterations=24)

@@ -65,6 +65,20 @@ def test_crops_of_stills_are_made_anew_only_when_they_must(tmp_path: Path) -> No
     assert file.stat().st_mtime_ns == before
 
 
+def test_stills_whose_crops_are_missing_are_cut_out_alone_and_as_before(tmp_path: Path) -> None:
+    folder = match_of_stills(tmp_path / "match", "aa_1", "aa_2", "aa_3")
+    files = prepare(tmp_path / "crops", (folder,), "stills")
+    before, kept = load(files), [file.stat().st_mtime_ns for file in files]
+    files[1].unlink()
+
+    after = load(prepare(tmp_path / "crops", (folder,), "stills"))
+
+    for name, values in vars(before).items():
+        assert np.array_equal(values, vars(after)[name]), name
+    told = [file.stat().st_mtime_ns == was for file, was in zip(files, kept, strict=True)]
+    assert told == [True, False, True]
+
+
 def test_a_detected_ball_is_false_unless_it_touches_the_true_one(tmp_path: Path) -> None:
     folder = match_of_stills(tmp_path, "aa_1")
     _, truth = truth_of(folder / "images" / "aa_1.png", class_names(folder / "data.yaml"))

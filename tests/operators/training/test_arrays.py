@@ -4,9 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from operators.training.arrays import outdated, read, write
+from operators.training.arrays import mapped, outdated, read, write
 from pipeline.errors import DriverError
+from tests.full_disk import full_disk
 
 MADE = {"frames": "80", "saliency.weights": "1f"}
 
@@ -86,3 +88,33 @@ def test_what_files_were_made_of_may_differ(tmp_path: Path) -> None:
 
     assert outdated([path], lambda _: MADE | {"source": "a"}, pytest.fail) == []
     assert outdated([path], lambda _: MADE | {"source": "b"}, said.append) == [path]
+
+
+def shown(value: int) -> NDArray[np.uint8]:
+    return np.full((2, 3, 4), value, np.uint8)
+
+
+def test_a_training_keeps_the_pictures_that_another_one_replaces(tmp_path: Path) -> None:
+    path = tmp_path / "7.npz"
+    write(path, {"a": np.arange(2)}, MADE, shown(1))
+    in_use = mapped(path)
+
+    write(path, {"a": np.arange(2)}, MADE | {"frames": "2"}, shown(2)[:1])
+
+    assert np.array_equal(in_use, shown(1))
+    assert np.array_equal(mapped(path), shown(2)[:1])
+
+
+def test_pictures_without_the_arrays_that_belong_to_them_are_made_anew(tmp_path: Path) -> None:
+    path = tmp_path / "7.npz"
+    write(path, {"a": np.arange(2)}, MADE, shown(1))
+
+    with pytest.raises(OSError, match=r"7\.npz"), full_disk(2000):  # the new pictures fit
+        write(path, {"a": np.arange(500)}, MADE | {"frames": "2"}, shown(2))
+
+    assert outdated([path], MADE, pytest.fail, with_pictures=True) == [path]
+
+
+def test_a_disk_without_room_for_pictures_is_told_with_the_file(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"File too large: .*7\.npy"), full_disk(2000):
+        write(tmp_path / "7.npz", {}, MADE, np.zeros((99, 99), np.uint8))

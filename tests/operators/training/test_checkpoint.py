@@ -114,3 +114,17 @@ def test_a_full_disk_is_told_as_such_and_leaves_the_checkpoint_before(tmp_path: 
         first.save()
 
     assert first.path.read_bytes() == before
+
+
+def test_a_damaged_checkpoint_is_refused_and_stays(tmp_path: Path) -> None:
+    first = progress(tmp_path, sides=5000)
+    first.save()
+    whole = first.path.read_bytes()
+    middle = len(whole) // 2  # in the numbers of a tensor, which torch loads without checking them
+    damaged = whole[:middle] + bytes(64) + whole[middle + 64 :]
+    first.path.write_bytes(damaged)
+
+    with pytest.raises(WeightsError, match=r"checkpoint\.pt: expected .*, got a damaged part, "):
+        first.resume()
+
+    assert first.path.read_bytes() == damaged

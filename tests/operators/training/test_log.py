@@ -6,6 +6,7 @@ import pytest
 
 from operators.training.log import note, shorten
 from operators.training.schedule import warmed_cosine
+from tests.full_disk import full_disk
 
 
 def test_lines_after_the_checkpoint_are_removed(tmp_path: Path) -> None:
@@ -36,6 +37,27 @@ def test_an_incomplete_line_is_removed(tmp_path: Path) -> None:
     shorten(log, 20)
 
     assert log.read_text() == "step,elapsed_s,loss\n20,2,0.5000\n"
+
+
+def test_a_line_that_ends_early_or_comes_again_is_removed(tmp_path: Path) -> None:
+    log, whole = tmp_path / "log.csv", "step,elapsed_s,loss\n0,0,0.6000\n20,2,0.5000\n"
+    log.write_text(f"{whole}20,3,0.4000\n12\n30,4")
+
+    shorten(log, 40)
+
+    assert log.read_text() == whole
+
+
+def test_a_log_that_cannot_be_shortened_stays_whole(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    for step in range(20, 10_000, 20):
+        note(log, step, step / 10, {"loss": 0.5})
+    whole = log.read_text()
+
+    with pytest.raises(OSError, match=r"log\.csv"), full_disk(2000):
+        shorten(log, 9_000)
+
+    assert log.read_text() == whole
 
 
 def test_a_missing_log_is_not_created(tmp_path: Path) -> None:
