@@ -28,6 +28,7 @@ WITHOUT_EIGHT_BITS = {"openvino"}
 # that compute in the host's memory gain nothing by it: of the detector's 20.3 ms of one core at
 # 480x288, it took .2 more
 MEMORY = {"tensorrt": "cuda", "cuda": "cuda"}
+MOST_THREADS = 64  # of a network or a node: each takes memory and time to start
 CACHED = {"tensorrt", "openvino"}  # those whose compiled network is kept between starts
 
 
@@ -40,8 +41,7 @@ class NetworkSettings:
     device: str = ""  # of openvino: CPU, GPU, NPU …; of cuda and tensorrt: its number; empty: first
 
     def __post_init__(self) -> None:
-        if self.threads < 1:
-            raise SettingsError(f"threads: must be at least 1, got {self.threads}")
+        check_threads(self.threads)
         check_provider(self.provider)
         if not re.fullmatch(r"[A-Za-z0-9_.:]{0,40}", self.device):
             raise SettingsError(
@@ -52,6 +52,12 @@ class NetworkSettings:
     def compute(self) -> dict[str, Any]:
         """What `pipeline.inference.Network` takes of them."""
         return {"threads": self.threads, "provider": self.provider, "device": self.device}
+
+
+def check_threads(count: int) -> None:
+    """Raise `SettingsError` for threads that nobody has, or that take minutes to start."""
+    if not 1 <= count <= MOST_THREADS:
+        raise SettingsError(f"threads: expected 1 to {MOST_THREADS}, got {count}")
 
 
 def check_provider(name: str) -> None:

@@ -18,6 +18,7 @@ from pipeline import Frame, Header, Input, Operator, Percept, SettingsError, Tra
 from pipeline.boxes import iou
 from pipeline.errors import MessageError
 from pipeline.messages import Boxes, Ids, Shape
+from pipeline.providers import check_threads
 
 Reads = Literal["roi", "context", "both"]
 READS = ("roi", "context", "both")
@@ -44,9 +45,9 @@ def check_reader(reads: str, least_score: float, threads: int, forget_after: int
         raise SettingsError(f"reads: expected {', '.join(READS)}, got {reads!r}")
     if not 0 <= least_score <= 1:
         raise SettingsError(f"least_score: must be within 0..1, got {least_score}")
-    for name, count in (("threads", threads), ("forget_after", forget_after)):
-        if count < 1:
-            raise SettingsError(f"{name}: must be at least 1, got {count}")
+    check_threads(threads)
+    if forget_after < 1:
+        raise SettingsError(f"forget_after: must be at least 1, got {forget_after}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import msgspec
 
 from pipeline.errors import FoveaError, GraphError
+from pipeline.providers import MOST_THREADS
 from pipeline.wording import shown
 
 MOST_NODES, MOST_EDGES = 128, 512
@@ -67,7 +68,7 @@ class Limit:
 
 Limits = Mapping[str, Limit]
 NODE: Limits = {
-    "threads": Limit(1, 64, whole=True),
+    "threads": Limit(1, MOST_THREADS, whole=True),
     "stall_s": Limit(0.1, DAY_S),
     "start_s": Limit(0.1, DAY_S),
     "memory_mb": Limit(0, 1e7),

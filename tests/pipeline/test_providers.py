@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from operators.policy.network import SHIPPED
+from operators.reader.reader import ReaderSettings
 from operators.saliency import SaliencySettings
 from operators.saliency.detector import EIGHT_BITS
 from pipeline import SettingsError
@@ -33,6 +34,13 @@ def test_one_that_is_asked_for_is_tried_alone_before_the_cpu(name: str):
 def test_an_unknown_provider_is_refused_with_those_that_are_known(settings):
     with pytest.raises(SettingsError, match=r"provider: expected one of auto, .*cuda.*, got 'gpu'"):
         settings(provider="gpu")
+
+
+@pytest.mark.parametrize("settings", [NetworkSettings, SaliencySettings, ReaderSettings])
+@pytest.mark.parametrize("count", [0, 65, 1_000_000])  # a million take minutes and gigabytes
+def test_threads_that_nobody_has_are_refused(settings, count: int):
+    with pytest.raises(SettingsError, match=f"threads: expected 1 to 64, got {count}"):
+        settings(threads=count)
 
 
 def test_a_provider_that_is_not_installed_is_warned_of_and_the_cpu_computes(

@@ -151,5 +151,5 @@ def test_the_network_is_none_of_the_other_tracker():
 
 
 def test_no_threads_are_refused():
-    with pytest.raises(SettingsError, match="threads: must be at least 1, got 0"):
+    with pytest.raises(SettingsError, match="threads: expected 1 to 64, got 0"):
         TemplateTrackerSettings(threads=0)
