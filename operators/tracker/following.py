@@ -8,26 +8,28 @@ shows a place, and no object, counts as well: what the policy has lost is droppe
 
 A ball in flight leaves within a frame what is searched around its last place. As long as the two
 agree, a fast object is therefore searched where the policy foresees it.
+
+Where a detector says what it finds in the ROI, an object that was lost is answered where such a
+find has been likely for some frames (`finds`), until the policy shows one that can be followed.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.tracker.finds import FAR_PX, Finds, after, same
 from operators.tracker.look import Streams
-from pipeline import Frame, Scanpath
+from pipeline import Detections, Frame, Scanpath
 from pipeline.boxes import centres, covered, sizes
 
 NOBODY = -1  # id of an object without a track
-NEAR = 0.75  # maximum distance of centres of one object, in sizes of the larger box
-ALIKE = 2.0  # if their sizes differ by less than this factor
 FAST = 0.5  # sizes in a frame, from which an object is searched where it is foreseen
 SHOWN = 0.5  # share of a box inside the ROI from which the ROI shows it
 REASONS = ("missed", "drift", "switch", "hidden", "place")  # to drop an object
-FAR_PX = 2.0**20  # beyond any field: no box, and nothing to calculate with
 Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
+NONE = np.zeros((0, 4), np.float32)
 Memory = tuple[NDArray[np.uint8] | NDArray[np.float32], ...]
 
 
@@ -63,6 +65,7 @@ class Rules:
     switch_after: int  # the same, where the policy shows another object than before
     hidden_after: int  # frames outside the ROI while the policy looks at a place
     place_after: int  # the same, whatever the ROI shows; 0: never
+    found_for: int  # frames after its loss in which an object is answered where it is found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,6 +80,10 @@ class TrackerState:
     apart_frames: int = 0  # in succession, in which the policy's object was elsewhere
     hidden_frames: int = 0  # in succession, in which the ROI did not show it
     place_frames: int = 0  # in succession, in which the policy looked at a place
+    called: str = ""  # class that the detector in the ROI gave the object, or the one that was lost
+    size_px: float = 0.0  # of that
+    lost_frames: int = 0  # since that was lost
+    finds: Finds = field(default_factory=Finds)
     memory: Memory = ()  # the method's own
 
 
@@ -94,6 +101,7 @@ class Following:
 
     def __init__(self, method: Method, rules: Rules) -> None:
         self.rules, self._method = rules, method
+        self._finds = Finds()
         self.lost: dict[str, int] = dict.fromkeys(REASONS, 0)
         self.forget()
 
@@ -101,6 +109,11 @@ class Following:
     def box(self) -> NDArray[np.float32]:
         """Where the object is believed to be: (1, 4), or (0, 4) without one."""
         return self._box
+
+    @property
+    def answer(self) -> NDArray[np.float32]:
+        """The box, or where an object that was lost is found: (1, 4), or (0, 4) for nothing."""
+        return self._box if len(self._box) else self._found
 
     @property
     def object_id(self) -> int:
@@ -118,6 +131,10 @@ class Following:
             apart_frames=self._apart,
             hidden_frames=self._hidden,
             place_frames=self._place,
+            called=self._called,
+            size_px=self._size_px,
+            lost_frames=self._lost,
+            finds=self._finds,
             memory=tuple(part.copy() for part in self._method.memory()) if self._begun else (),
         )
 
@@ -126,6 +143,8 @@ class Following:
         self._box, self._id, self._prompted = state.box, state.object_id, state.prompted
         self._missed, self._apart = state.missed_frames, state.apart_frames
         self._hidden, self._place = state.hidden_frames, state.place_frames
+        self._called, self._size_px, self._lost = state.called, state.size_px, state.lost_frames
+        self._finds, self._found = state.finds, NONE
         self._begun = state.begun and self._method.resume(state.memory)
 
     def forget(self) -> None:
@@ -134,21 +153,54 @@ class Following:
 
     def take(self, box: Box) -> None:
         """Follow the object in this box from the next frame on, whatever the policy chooses."""
-        self.restore(TrackerState(box=box[None].copy(), prompted=True))
+        self._begin(TrackerState(box=box[None].copy(), prompted=True))
 
-    def step(self, streams: Streams, shown: Proposal | None) -> float:
-        """Process one frame; return the method's score, 1 at a start, 0 without an object."""
+    def step(
+        self, streams: Streams, shown: Proposal | None, seen: Detections | None = None
+    ) -> float:
+        """Process one frame; return the method's score, 1 at a start, 0 without an object.
+
+        Of a lost object that is in what a detector has `seen` in the ROI, its rating.
+        """
         score = 0.0
+        if seen is not None:
+            self._finds = after(self._finds, seen)
         if len(self._box) and self._begun:
             score = self._follow(streams, self._search_box(shown))
+            self._note_class()
             self._compare(streams, shown)
             self._let_go(shown)
         if not len(self._box) and shown and _startable(shown, streams.roi):
-            self.restore(TrackerState(box=shown.box[None].copy(), object_id=shown.object_id))
-        if len(self._box) and not self._begun:
+            self._begin(TrackerState(box=shown.box[None].copy(), object_id=shown.object_id))
+        if not len(self._box):
+            return self._find_again(streams.roi, known=seen is not None)
+        if not self._begun:
             self._method.start(streams, self._box[0])
             self._begun, score = True, 1.0
-        return score if len(self._box) else 0.0
+        return score
+
+    def _begin(self, state: TrackerState) -> None:
+        """Change the object; what is found in the ROI does not depend on it."""
+        self.restore(replace(state, finds=self._finds))
+
+    def _note_class(self) -> None:
+        """Note what the detector calls the object, by which it is known when it is lost."""
+        if not self._missed and (name := self._finds.name_at(self._box[0])):
+            self._called, self._size_px = name, float(sizes(self._box)[0])
+
+    def _find_again(self, roi: Frame, known: bool) -> float:
+        """Note where the lost object is found, and return how sure that is; 0 for nowhere.
+
+        It is nowhere as well if it is not `known` what this ROI shows.
+        """
+        self._found, self._lost = NONE, self._lost + 1
+        if not known or not self._called or self._lost > self.rules.found_for:
+            return 0.0
+        row = self._finds.best(self._called, self._size_px)
+        if row < 0 or not shows(roi, self._finds.boxes[row]):
+            return 0.0
+        self._found = self._finds.boxes[row : row + 1].copy()
+        return float(self._finds.ratings[row])
 
     def _search_box(self, shown: Proposal | None) -> Box:
         """Return the box to search around: a fast object's where the policy foresees it.
@@ -180,7 +232,7 @@ class Following:
             self._place += 1
             return
         self._hidden = self._place = 0
-        if not same(self._box[0], shown.box):
+        if not same(self._box, shown.box[None]).item():
             self._apart += 1
             return
         self._apart, self._id = 0, shown.object_id
@@ -200,7 +252,9 @@ class Following:
         }
         if reason := next((name for name, reached in reasons.items() if reached), ""):
             self.lost[reason] += 1
-            self.forget()
+            other = self._prompted or reason == "switch"  # something else is wanted now
+            called = "" if other else self._called
+            self._begin(TrackerState(called=called, size_px=self._size_px))
 
 
 def proposed(scanpath: Scanpath | None, seq: int) -> Proposal | None:
@@ -216,20 +270,6 @@ def proposed(scanpath: Scanpath | None, seq: int) -> Proposal | None:
         step_px = np.linalg.norm(centres(later[0]) - centres(box))
         motion = float(step_px / sizes(box[None])[0])
     return Proposal(object_id=object_id, box=box, motion=motion)
-
-
-def same(box: Box, other: Box) -> bool:
-    """Whether two boxes are of one object, as far as place and size tell.
-
-    Overlap would not do: a ball of 15 pixels is foreseen some pixels beside itself.
-
-    >>> ball = np.array([100, 100, 116, 116], np.float32)
-    >>> same(ball, ball + 8), same(ball, ball + 20), same(ball, ball * [1, 1, 2, 2])
-    (True, False, False)
-    """
-    small, large = sorted(float(sizes(b[None])[0]) for b in (box, other))
-    apart = float(np.linalg.norm(centres(box) - centres(other)))
-    return apart <= NEAR * large and large <= ALIKE * small
 
 
 def shows(roi: Frame, box: Box) -> bool:

@@ -19,9 +19,19 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.tracker.following import FAR_PX, Following, Method, Rules, TrackerState, proposed
+from operators.tracker.finds import FAR_PX
+from operators.tracker.following import Following, Method, Rules, TrackerState, proposed
 from operators.tracker.look import Picture, Streams
-from pipeline import Frame, Header, Input, Operator, Percept, Scanpath, SettingsError
+from pipeline import (
+    Detections,
+    Frame,
+    Header,
+    Input,
+    Operator,
+    Percept,
+    Scanpath,
+    SettingsError,
+)
 from pipeline.boxes import covered
 
 FURTHER_WAIT_MS = 50.0  # realtime: for further windows of an exposure, where they are connected
@@ -45,6 +55,7 @@ class TrackerSettings:
     # the same, whatever the ROI shows, for a policy that does so only where it has lost the object;
     # 0: never. With no more than `hidden_after` that rule has nothing left to do
     place_after: int = 0
+    found_for: int = 150  # after its loss, in which an object is answered where `finds` have it
 
     def __post_init__(self) -> None:
         if any(self.init_box):
@@ -52,8 +63,9 @@ class TrackerSettings:
         for name in COUNTS:
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
-        if self.place_after < 0:
-            raise SettingsError(f"place_after: must not be negative, got {self.place_after}")
+        for name in ("place_after", "found_for"):
+            if getattr(self, name) < 0:
+                raise SettingsError(f"{name}: must not be negative, got {getattr(self, name)}")
         if not self.lost_score <= 1:
             raise SettingsError(f"lost_score: must be at most 1, got {self.lost_score}")
 
@@ -70,13 +82,14 @@ class Tracker(Operator[S, Percept]):
     method's class says what `method` is.
     """
 
-    live: ClassVar[tuple[str, ...]] = ("lost_score", *COUNTS, "place_after")
+    live: ClassVar[tuple[str, ...]] = ("lost_score", *COUNTS, "place_after", "found_for")
     commands: ClassVar[tuple[str, ...]] = ("follow", "reset")
     context = Input(Frame, keep="latest")
     roi = Input(Frame, keep="latest")
     roi_2 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
     roi_3 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
     roi_4 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
+    finds = Input(Detections, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
     scanpath = Input(Scanpath, join=False)
 
     def method(self) -> Method:
@@ -89,7 +102,7 @@ class Tracker(Operator[S, Percept]):
         self._usual_score, self._provider = method.patience_score, method.provider
         self._following = Following(method, self._rules())
         self._scratch: dict[int, Picture] = {}
-        self._frames = self._answered = 0
+        self._frames = self._answered = self._found = 0
         self._begin()
 
     def on_settings(self, settings: S) -> None:
@@ -125,57 +138,55 @@ class Tracker(Operator[S, Percept]):
         """Remember what the policy shows."""
         self._scanpath: Scanpath | None = scanpath
 
-    def on_context_roi(self, context: Frame, roi: Frame) -> Percept:
-        """Find the object in this exposure, or start on one."""
-        return self._find(context, [roi])
-
-    def on_context_roi_roi_2(self, context: Frame, roi: Frame, roi_2: Frame | None) -> Percept:
-        """Likewise, with a second window."""
-        return self._find(context, [roi, roi_2])
-
-    def on_context_roi_roi_2_roi_3(
-        self, context: Frame, roi: Frame, roi_2: Frame | None, roi_3: Frame | None
-    ) -> Percept:
-        """Likewise, with three windows."""
-        return self._find(context, [roi, roi_2, roi_3])
-
-    def on_context_roi_roi_2_roi_3_roi_4(
+    def on_context_roi_roi_2_roi_3_roi_4_finds(
         self,
         context: Frame,
         roi: Frame,
-        roi_2: Frame | None,
-        roi_3: Frame | None,
-        roi_4: Frame | None,
+        roi_2: Frame | None = None,
+        roi_3: Frame | None = None,
+        roi_4: Frame | None = None,
+        finds: Detections | None = None,
     ) -> Percept:
-        """Likewise, with four windows."""
-        return self._find(context, [roi, roi_2, roi_3, roi_4])
+        """Find the object in this exposure, or start on one."""
+        return self._find(context, [roi, roi_2, roi_3, roi_4], finds)
 
-    def _find(self, context: Frame, frames: Sequence[Frame | None]) -> Percept:
+    # the handlers of the inputs that are connected
+    on_context_roi = on_context_roi_finds = on_context_roi_roi_2_roi_3_roi_4_finds
+    on_context_roi_roi_2 = on_context_roi_roi_2_finds = on_context_roi
+    on_context_roi_roi_2_roi_3 = on_context_roi_roi_2_roi_3_finds = on_context_roi
+    on_context_roi_roi_2_roi_3_roi_4 = on_context_roi
+
+    def _find(
+        self, context: Frame, frames: Sequence[Frame | None], finds: Detections | None = None
+    ) -> Percept:
         following, shown = self._following, proposed(self._scanpath, context.header.seq)
         box = following.box[0] if len(following.box) else shown.box if shown else None
         roi, *further = ordered([frame for frame in frames if frame is not None], box)
         streams = Streams(context=context, roi=roi, further=tuple(further), scratch=self._scratch)
-        score = following.step(streams, shown)
-        count = len(following.box)
+        score = following.step(streams, shown, finds)
+        count = len(following.answer)
         self._frames, self._answered = self._frames + 1, self._answered + count
+        self._found += count - len(following.box)
         return Percept(
             header=context.header,
-            boxes=following.box,
+            boxes=following.answer,
             ids=np.full(count, following.object_id, np.int32),
             scores=np.full(count, score, np.float32),
         )
 
     def headline(self) -> str:
         """Whether it has lost what it followed."""
-        return "tracker: lost" if self._answered and not len(self._following.box) else ""
+        return "tracker: lost" if self._answered and not len(self._following.answer) else ""
 
     def runs_on(self) -> str:
         """The provider of the method's network; empty where it has none."""
         return self._provider
 
     def summary(self) -> Mapping[str, Any]:
-        """In how many frames it answered with a box, and how often it let go of one, and why."""
-        counts = {"frames": self._frames, "answered": self._answered}
+        """In how many frames it answered, in how many of these it found a lost object again by
+        `finds`, and how often it let go of one, and why.
+        """
+        counts = {"frames": self._frames, "answered": self._answered, "found": self._found}
         return {"tracker": {**counts, "let_go": dict(self._following.lost)}}
 
     def _rules(self) -> Rules:
@@ -187,6 +198,7 @@ class Tracker(Operator[S, Percept]):
             switch_after=s.switch_after,
             hidden_after=s.hidden_after,
             place_after=s.place_after,
+            found_for=s.found_for,
         )
 
     def _begin(self) -> None:
