@@ -144,6 +144,8 @@ def main() -> None:
     parser.add_argument("--data", type=Path)
     parser.add_argument("--seed", type=int, default=7)
     options = parser.parse_args()
+    if options.seed < 0:
+        parser.error(f"--seed: must be at least 0, got {options.seed}")
     sets: dict[str, list[Path2D]] = {"made-up": made_up(options.seed)}
     try:
         for role, piece in footage(options.data) if options.data else ():

@@ -17,6 +17,7 @@ from bench.machine import facts
 from drivers.datasets.soccernet import SoccerNetSequence
 from drivers.scenes.soccer import SoccerScene
 from drivers.source import Annotations, FrameSource
+from operators.training.command_line import count
 from pipeline.errors import FoveaError
 
 RATE_HZ = 25.0
@@ -117,8 +118,8 @@ def main() -> None:
     """Print the table; write every quantity's mean and quantiles with --json."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", help="folder of a SoccerNet sequence")
-    parser.add_argument("--seeds", type=int, default=4)
-    parser.add_argument("--frames", type=int, default=500)
+    parser.add_argument("--seeds", type=count, default=4)
+    parser.add_argument("--frames", type=count, default=500)
     parser.add_argument("--json", type=Path)
     values = parser.parse_args()
     cv2.setNumThreads(1)

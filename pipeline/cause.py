@@ -47,8 +47,11 @@ def cause_of(error: BaseException) -> str:
 def is_signal(error: BaseException) -> bool:
     """Whether a signal to this process raised the exception, not the code that was running.
 
-    Python 3.11 wraps what a `__set_name__` raises, so also a signal while a class is made.
+    Python 3.11 wraps what a `__set_name__` raises, so also a signal while a class is made; a module
+    in C whose import is interrupted raises an ImportError.
     """
+    if isinstance(error, ImportError) and signals.raised_one():
+        return True
     if isinstance(error, RuntimeError) and error.__cause__ is not None:
         error = error.__cause__  # one step: an error may be its own cause
     traceback = error.__traceback__

@@ -19,6 +19,7 @@ LAST_RESORT_S = 30.0  # for cleaning up, after that the kernel ends the process
 # until an exception that Python dropped is raised again: the hook that was told of it has to end
 # before, also on a slow machine, or it is dropped once more
 AGAIN_S = 0.1
+_raised = False  # whether a signal has raised its exception in this process (`raising`)
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")  # SIGHUP does not exist on every system
 Handler = Callable[[int, FrameType | None], Any]
 
@@ -53,7 +54,9 @@ def raising() -> Iterator[None]:
 
     def note(number: int, _frame: FrameType | None) -> None:
         nonlocal raised, status, again
+        global _raised
         if raised is None:
+            _raised = True
             status = 128 + number
             raised = Stopped() if number == signal.SIGINT else SystemExit(status)
             end_by_kernel(LAST_RESORT_S)
@@ -78,9 +81,10 @@ def raising() -> Iterator[None]:
     sys.unraisablehook = dropped
     try:
         yield
-    except RuntimeError as error:
-        # Python 3.11 wraps what a `__set_name__` raises, so also this in the import of a class
-        if raised is not None and error.__cause__ is raised:
+    except (RuntimeError, ImportError) as error:
+        # Python 3.11 wraps what a `__set_name__` raises, so also this in the import of a class; a
+        # module in C that is interrupted raises an ImportError of its own
+        if raised is not None and (isinstance(error, ImportError) or error.__cause__ is raised):
             sys.exit(status)
         raise
     finally:
@@ -89,6 +93,11 @@ def raising() -> Iterator[None]:
             _restore(before, note)
         else:
             ignore()
+
+
+def raised_one() -> bool:
+    """Whether a signal has raised its exception here: the command is about to end."""
+    return _raised
 
 
 def ignore() -> None:

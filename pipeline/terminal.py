@@ -169,7 +169,7 @@ def losses(origin: str, end: str, account: Mapping[str, Any], *, broken: bool) -
     """Yield a line for an edge that dropped, lost or ignored messages; none for those in flight."""
     parts = [f"{n} dropped, {reason}" for reason, n in account["dropped"].items()]
     if lost := account["lost_in_crash"]:
-        parts.append(f"{lost} lost in a crash")
+        parts.append(f"{lost} lost with a process")
     if strange := account.get("unexpected"):  # hosts of an earlier commit do not tell
         parts.append(f"{strange} ignored, damaged or sent twice")
     line = Text("; ".join(parts))

@@ -38,7 +38,11 @@ def options(count: int) -> Callable[..., Any]:
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         command = click.option("--seed", default=0, show_default=True)(command)
-        return JSON(click.option("--count", default=count, show_default=True)(command))
+        return JSON(
+            click.option("--count", default=count, show_default=True, type=click.IntRange(1))(
+                command
+            )
+        )
 
     return decorate
 

@@ -3,7 +3,7 @@
 One file holds the pages of every edge and node. Every counter has a single writer, so no lock is
 needed, and a killed process loses no counts: its successor continues from the same numbers.
 
-    offered = delivered + dropped + in flight + lost in a crash
+    offered = delivered + dropped + in flight + lost with a process
 """
 
 import ctypes

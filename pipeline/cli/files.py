@@ -33,7 +33,11 @@ def try_report(path: Path, option: str) -> None:
 
 def write_report(path: Path, report: dict[str, Any], option: str) -> str:
     """Replace a report atomically; return an error sentence, or an empty string."""
-    text = json.dumps(report, indent=1)
+    return write_text(path, json.dumps(report, indent=1), option)
+
+
+def write_text(path: Path, text: str, option: str) -> str:
+    """Replace a file atomically, or write to a device; return a sentence as `write_report` does."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if _is_special(path):

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from pipeline import terminal
 from pipeline.cli.arguments import JSON, Finite, print_json
-from pipeline.cli.files import try_report
+from pipeline.cli.files import try_report, write_text
 from pipeline.cli.overlaid import GRAPH, load_overlaid, overlaid
 from pipeline.cli.running import built_settings
 from pipeline.cores import available_cores
@@ -25,7 +25,6 @@ from pipeline.planner.planner import examine
 from pipeline.planner.thread_plan import Choice, Way, choose_all, cores_needed
 from pipeline.providers import AUTO, CPU, NOT_AUTOMATIC
 from pipeline.run.stage_times import Recorded, record, replayed, tunable
-from pipeline.whole_file import write_whole
 
 MOST_THREADS = 16
 LIMIT_S = 60.0  # of recording
@@ -55,8 +54,9 @@ def tune(
     needed, cores = cores_needed(others_ms, choices, rate), available_cores()
     settings = changes_of(choices)
     if out:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, yaml_of(settings, plan.name, rate))
+        unwritten = write_text(out, yaml_of(settings, plan.name, rate), "--out")
+        if unwritten:
+            raise RunError(unwritten)
     if as_json:
         print_json({
             "graph": plan.name, "rate_hz": rate, "cores": cores, "cores_needed": round(needed, 3),

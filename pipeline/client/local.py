@@ -173,7 +173,17 @@ class LocalGraph(GraphClient):
         return _BusTap(self, output)
 
     def tell(self, order: Order) -> Done:
-        """Send an order to the graph and return its result."""
+        """Send an order to the graph and return its result.
+
+        Log first if the process that would carry it out is stopped: it answers when it goes on.
+        """
+        pid = self._facts["pid"]
+        with suppress(psutil.Error):  # it ends
+            if psutil.Process(pid).status() == psutil.STATUS_STOPPED:
+                log.warning(
+                    "%s: waits for process %d, which runs it and is stopped: kill -CONT %d",
+                    self.name, pid, pid,
+                )  # fmt: skip
         with client_session(self.name, "order") as session:
             key = f"fovea/{self._facts['graph']}/{GRAPH}"
             answer = session.ask(key, _written(order), ORDER_S, self.runs)

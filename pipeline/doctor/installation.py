@@ -17,9 +17,10 @@ from pipeline import weights
 from pipeline.bus.session import Session
 from pipeline.doctor.finding import Finding, ok, warning, wrong
 from pipeline.errors import FoveaError, RunError
-from pipeline.run.leftovers import leftovers, node_processes
+from pipeline.run.leftovers import foreign, leftovers, node_processes
 from pipeline.run.memory_folder import MemoryFolder, path_of
 from pipeline.run.rundir import LONGEST_ADDRESS, base
+from pipeline.text import harmless
 
 PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
 OLDEST = (3, 11)
@@ -130,16 +131,21 @@ def bus() -> Finding:
 
 
 def left_over() -> Iterator[Finding]:
-    """Check for leftovers of killed supervisors; the next start of any graph removes them."""
+    """Check for leftovers of killed supervisors; the next start of any graph removes its own."""
     dead = leftovers()
     if dead:
         todo = "start any graph: it removes them; or `fovea doctor --cleanup`"
         yield warning("left over", f"runs that were killed: {', '.join(dead)}", todo)
+    others = foreign()
+    for folder, names in others.items():
+        listed = harmless(", ".join(names[:3]), 200)
+        why = f"{folder} is of a killed run and has files that are none of it: {listed}"
+        yield warning("left over", why, "remove the folder, if these are not needed")
     orphans = [process.pid for process in orphaned()]
     if orphans:
         listed = " ".join(map(str, orphans))
         yield wrong("left over", f"node processes without a supervisor: {listed}", f"kill {listed}")
-    if not (dead or orphans):
+    if not (dead or others or orphans):
         yield ok("left over", "nothing")
 
 

@@ -64,7 +64,18 @@ def leftovers() -> list[str]:
             if any(map(_RUN_FILES.fullmatch, folder.names())):
                 found.append(folder.path.name)
             os.close(lock)
-    return found + [str(memory.path) for memory in abandoned(fcntl.LOCK_SH)]
+    return found + [str(m.path) for m in abandoned(fcntl.LOCK_SH) if not _only_unknown(m)]
+
+
+def foreign(memory: Path = MEMORY) -> dict[str, list[str]]:
+    """Return the files in folders of killed runs that no run makes: they and the folder stay."""
+    folders = abandoned(fcntl.LOCK_SH, memory)
+    return {str(each.path): names for each in folders if (names := each.unknown())}
+
+
+def _only_unknown(folder: MemoryFolder) -> bool:
+    names = folder.names()
+    return bool(names) and len(folder.unknown()) == len(names)
 
 
 def clear(folder: PrivateFolder) -> None:

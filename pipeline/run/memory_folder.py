@@ -63,6 +63,10 @@ class MemoryFolder(PrivateFolder):
                 self.remove(name)
         self.remove_itself()
 
+    def unknown(self) -> list[str]:
+        """Return the names of files that no run makes, which are never removed."""
+        return [name for name in self.names() if not _FILES.fullmatch(name)]
+
     def pool_bytes(self) -> dict[str, int]:
         """Return the sizes of the frame pools in bytes, by `node.output`, without outgrown ones."""
         found: dict[str, int] = {}

@@ -39,6 +39,43 @@ def test_a_signal_while_a_class_is_made_is_no_error(number: signal.Signals) -> N
     assert (ended.returncode, ended.stderr) == (128 + number, b"")
 
 
+IN_A_MODULE = """
+import os, signal, sys
+from pathlib import Path
+from pipeline import signals
+from pipeline.errors import SettingsError
+from pipeline.import_path import imported
+
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+sys.path.insert(0, FOLDER)
+try:
+    with signals.raising():
+        imported("in_c:Class", SettingsError)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+# as a module in C does whose own imports a signal interrupts
+IN_C = """
+import os, signal
+try:
+    os.kill(os.getpid(), signal.SIGNAL)
+except BaseException:
+    raise ImportError("initialization failed") from None
+"""
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_in_the_import_of_a_module_in_c_is_no_error(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    (tmp_path / "in_c.py").write_text(IN_C.replace("SIGNAL", number.name))
+    text = IN_A_MODULE.replace("FOLDER", repr(str(tmp_path)))
+
+    ended = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
+
+    assert (ended.returncode, ended.stderr) == (128 + number, b"")
+
+
 DROPPED = """
 import os, signal, sys, time, weakref
 from pipeline import signals

@@ -45,7 +45,7 @@ def test_undelivered_messages_are_counted_and_losses_are_named() -> None:
         "a -> b: 2 ignored, damaged or sent twice"
     ]
     assert [line.plain for line in losses("a", "b.in", account, broken=True)] == [
-        "a -> b.in: 3 dropped, superseded; 1 lost in a crash; lost messages it was promised"
+        "a -> b.in: 3 dropped, superseded; 1 lost with a process; lost messages it was promised"
     ]
     assert list(losses("a", "b.in", whole, broken=False)) == []
 

@@ -70,6 +70,25 @@ def runs(pid: int) -> bool:
         return False
 
 
+def test_an_order_to_a_graph_whose_process_is_stopped_tells_so_and_waits_for_it(
+    graph: Path, name: str
+) -> None:
+    assert fovea("run", str(graph), "--detach").returncode == 0
+    pid = running()[name]["pid"]
+    os.kill(pid, signal.SIGSTOP)
+
+    with subprocess.Popen([*FOVEA, "stop", name], stderr=subprocess.PIPE, text=True) as stopping:
+        assert stopping.stderr is not None
+        try:
+            told = stopping.stderr.readline()
+        finally:
+            os.kill(pid, signal.SIGCONT)
+
+    assert f"waits for process {pid}, which runs it and is stopped: kill -CONT {pid}" in told
+    assert stopping.returncode == 0
+    until(lambda: not runs(pid))
+
+
 def test_a_detached_run_goes_on_and_is_stopped_with_its_report(graph: Path, name: str) -> None:
     begun = fovea("run", str(graph), "--detach", "--json")
     where = json.loads(begun.stdout)

@@ -3,6 +3,8 @@
 import json
 import os
 import resource
+import secrets
+import shutil
 import signal
 import socket
 import subprocess
@@ -165,6 +167,22 @@ def test_a_graph_that_cannot_run_is_reported_without_running_it(tmp_path: Path) 
     assert [f.verdict for f in unknown] == ["wrong"]
     assert "did you mean 'fail_at'" in unknown[0].why
     assert "ValueError: told to crash" in bug[-1].why
+
+
+def test_files_that_no_run_makes_are_told_with_the_folder_that_stays_for_them() -> None:
+    folder = path_of(secrets.token_hex(8))
+    folder.mkdir(mode=0o700)
+    for name in ("notes.txt", "ledger"):
+        (folder / name).write_text("mine")
+    try:
+        assert str(folder) in leftovers()
+        cleanup()
+        assert str(folder) not in leftovers()
+        (finding,) = [f for f in left_over() if str(folder) in f.why]
+        assert finding.why.endswith("files that are none of it: notes.txt")
+        assert finding.todo == "remove the folder, if these are not needed"
+    finally:
+        shutil.rmtree(folder)
 
 
 def test_leftovers_of_a_killed_run_are_found_and_removed(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def handover_of(memory: MemoryFolder, said: list[Event], epoch: int) -> Handover
 
 def test_a_state_that_no_successor_reads_does_not_stay_in_memory(memory: MemoryFolder) -> None:
     said: list[Event] = []
-    others = {"eye.out.1.pool": b"1", "eyes.1.state": b"2"}
+    others = {"eye.out.0badc0de": b"1", "eyes.1.state": b"2"}
     for name, data in others.items():
         memory.write(name, data)
     memory.write("eye.7.state", bytes(1000))  # of a predecessor that was killed
@@ -61,4 +61,4 @@ def test_a_state_that_no_successor_reads_does_not_stay_in_memory(memory: MemoryF
 
     refused = CutRefused("eye", "the successor has closed its receiver")
     assert said == [refused] * 3
-    assert [name for name in memory.names() if name.endswith((".state", ".pool"))] == [*others]
+    assert [name for name in memory.names() if name.endswith((".state", ".0badc0de"))] == [*others]
