@@ -84,7 +84,7 @@ def swap(graph: str, node: str, changes: tuple[str, ...], as_json: bool, **order
     """Replace a node's operator, settings or model file while the graph runs."""
     wanted = dict(named_value(change) for change in changes)
     result = find(graph).swap(SwapOrder(node=node, changes=wanted, **order))
-    _tell(result, swap_lines(result), as_json=as_json)
+    _tell(result, swap_lines(result, order["shadow"]), as_json=as_json)
 
 
 @click.command()

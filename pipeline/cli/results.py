@@ -14,8 +14,8 @@ def topology_lines(result: TopologyResult) -> list[str]:
     return [f"{kind}: {', '.join(names)}" for kind, names in fields_of(result).items() if names]
 
 
-def swap_lines(result: SwapResult) -> list[str]:
-    """Describe a completed swap.
+def swap_lines(result: SwapResult, shadow: int = 0) -> list[str]:
+    """Describe a completed swap, for which `shadow` frames of comparison were asked.
 
     >>> swap_lines(SwapResult(node="a", hot=True, seq=7, gap_ms=1.25, state="none",
     ...                       proven_frames=30))
@@ -32,6 +32,8 @@ def swap_lines(result: SwapResult) -> list[str]:
         f"{result.proven_frames} frames of probation",
     ]
     warnings = [f"{result.node}: {lost_words(result.forgotten)}"] if result.forgotten else []
+    if shadow and not result.hot:
+        warnings.append("shadow: none: what is stopped and started has no predecessor beside it")
     return [", ".join(words), *warnings, *_shadow_lines(result.shadow)]
 
 

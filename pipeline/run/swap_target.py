@@ -253,6 +253,27 @@ def swapped(plan: Plan, order: SwapOrder, told: Mapping[str, Any]) -> Plan:
     node = plan.node(order.node)
     settings = {} if order.defaults else {**node.settings, **told}
     fresh = replace(
-        node, operator=order.operator or node.operator, settings={**settings, **order.changes}
+        node, operator=order.operator or node.operator, settings=laid(settings, order.changes)
     )
     return replace(plan, nodes=tuple(fresh if n.name == node.name else n for n in plan.nodes))
+
+
+def laid(settings: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings with changes; dots in a name lead into a mapping, as in `run --set`.
+
+    >>> laid({"options": {"scene": "soccer", "seed": 7}}, {"options.seed": 8, "rate": 2})
+    {'options': {'scene': 'soccer', 'seed': 8}, 'rate': 2}
+    """
+    found = dict(settings)
+    for name, value in changes.items():
+        *way, last = name.split(".")
+        place = found
+        for key in way:
+            inner = place.get(key, {})
+            if not isinstance(inner, Mapping):  # the name as a whole is refused, which tells it
+                place, last = found, name
+                break
+            place[key] = dict(inner)
+            place = place[key]
+        place[last] = value
+    return found

@@ -14,6 +14,7 @@ from pipeline.client.find import find
 from pipeline.protocol.orders import SwapOrder
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
+from pipeline.run.swap_target import laid
 from tests.pipeline.run.test_swap import Results, order
 from tests.sample_graphs import (
     KILLED,
@@ -26,6 +27,29 @@ from tests.sample_graphs import (
     until,
     wait_for,
 )
+
+
+@pytest.mark.parametrize(
+    ("changes", "after"),
+    [
+        ({"options.seed": 8}, {"options": {"scene": "soccer", "seed": 8}, "rate": 2}),
+        ({"options": {"seed": 8}}, {"options": {"seed": 8}, "rate": 2}),
+        ({"options.sun.low": True, "rate": 3},
+         {"options": {"scene": "soccer", "sun": {"low": True}}, "rate": 3}),
+        ({"more.of": 1}, {"options": {"scene": "soccer"}, "rate": 2, "more": {"of": 1}}),
+        ({"rate.of": 1}, {"options": {"scene": "soccer"}, "rate": 2, "rate.of": 1}),
+        ({"options.scene.of": 1},
+         {"options": {"scene": "soccer"}, "rate": 2, "options.scene.of": 1}),
+    ],
+)  # fmt: skip
+def test_names_with_dots_change_a_part_of_a_setting_and_leave_the_rest(
+    changes: dict[str, object], after: dict[str, object]
+) -> None:
+    settings = {"options": {"scene": "soccer"}, "rate": 2}
+
+    assert laid(settings, changes) == after
+
+    assert settings == {"options": {"scene": "soccer"}, "rate": 2}
 
 
 def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> None:

@@ -81,7 +81,9 @@ def test_a_part_that_has_to_be_stopped_and_started_begins_anew_with_a_reason(
     assert reasons(results) == [""]
     assert not swapped(results[0]).hot
     assert swapped(results[0]).state == "begins anew: it was stopped and started"
-    assert "begins anew: it was stopped and started" in swap_lines(swapped(results[0]))[0]
+    lines = swap_lines(swapped(results[0]), shadow=100)
+    assert "begins anew: it was stopped and started" in lines[0]
+    assert lines[-1].startswith("shadow: none: ")
 
 
 KEPT_BACK = {
