@@ -9,6 +9,9 @@ A sensor that reads several windows in one exposure sends the others as `roi_2` 
 takes its pixels from all of them. The one that shows most of the object, or of the policy's object
 where none is followed, takes the place of the ROI in the rules.
 
+Where a detector in the ROI is connected (`finds`), an object that is lost is answered where that
+keeps finding it.
+
 There is one class per method: `CorrelationTracker`, `VitTracker`, `MixFormerTracker`.
 """
 
