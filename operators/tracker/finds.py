@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 from pipeline import Detections
 from pipeline.boxes import centres, sizes
+from pipeline.messages import Boxes, Ids, Scores
 
 GAIN = 0.3  # of the latest frame in a rating
 GONE = 6  # frames in succession without it after which a find is forgotten
@@ -20,7 +21,6 @@ NEAR = 0.75  # maximum distance of centres of one object, in sizes of the larger
 LEAST = 0.3  # rating from which a find counts
 ALIKE = 2.0  # if their sizes differ by less than this factor
 FAR_PX = 2.0**20  # beyond any field: no box, and nothing to calculate with
-Boxes = NDArray[np.float32]  # (n, 4) xyxy, sensor pixels
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,10 +28,10 @@ class Finds:
     """What was found lately; n may be 0."""
 
     boxes: Boxes = field(default_factory=lambda: np.zeros((0, 4), np.float32))
-    labels: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+    labels: Ids = field(default_factory=lambda: np.zeros(0, np.int32))
     # the mean of its scores, 0 in a frame without it; older frames count less
-    ratings: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
-    missed: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))  # frames
+    ratings: Scores = field(default_factory=lambda: np.zeros(0, np.float32))
+    missed: Ids = field(default_factory=lambda: np.zeros(0, np.int32))  # frames
     names: tuple[str, ...] = ()
 
     def best(self, name: str, size_px: float) -> int:

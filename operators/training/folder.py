@@ -33,4 +33,6 @@ def open_folder(out: Path) -> None:
         raise SettingsError(
             f"{out}: another training runs in this folder; wait for it, or use another --out"
         ) from error
+    except OSError:
+        pass  # a file system without locks
     _held[facts.st_dev, facts.st_ino] = handle
