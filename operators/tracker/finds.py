@@ -16,6 +16,7 @@ from pipeline.messages import Boxes, Ids, Scores
 
 GAIN = 0.3  # of the latest frame in a rating
 GONE = 6  # frames in succession without it after which a find is forgotten
+LATE = 2  # frames between a picture and the finds that may speak of it
 MOST = 64  # the surest of a frame; no more are remembered
 NEAR = 0.75  # maximum distance of centres of one object, in sizes of the larger box
 LEAST = 0.3  # rating from which a find counts
@@ -33,6 +34,7 @@ class Finds:
     ratings: Scores = field(default_factory=lambda: np.zeros(0, np.float32))
     missed: Ids = field(default_factory=lambda: np.zeros(0, np.int32))  # frames
     names: tuple[str, ...] = ()
+    seq: int = -1  # the last frame in which the detector looked
 
     def best(self, name: str, size_px: float) -> int:
         """Return the row of the best of a class and size in this frame, -1 for none.
@@ -42,6 +44,10 @@ class Finds:
         fit = (self.missed == 0) & (self.ratings >= LEAST) & of_class(self, name)
         fit &= alike(sizes(self.boxes), np.float32(size_px))
         return int(np.where(fit, self.ratings, -1).argmax()) if fit.any() else -1
+
+    def speak_of(self, seq: int) -> bool:
+        """Whether they are of this frame, or of one next to it: they come as they are ready."""
+        return self.seq >= 0 and abs(seq - self.seq) <= LATE
 
     def name_at(self, box: NDArray[np.float32]) -> str:
         """Return the class of what was found at a box (4,) in this frame; empty: nothing was."""
@@ -55,11 +61,15 @@ class Finds:
 
 
 def after(before: Finds, seen: Detections) -> Finds:
-    """Return the finds after a frame; those of a detector with other classes are forgotten."""
+    """Return the finds after a frame in which a detector looked.
+
+    Those of a detector with other classes, and after `GONE` frames without a look, are forgotten.
+    """
     fit = np.flatnonzero((np.abs(seen.boxes) < FAR_PX).all(1) & np.isfinite(seen.scores))
     rows = fit[np.argsort(-seen.scores[fit], kind="stable")[:MOST]]
     boxes, labels, scores = seen.boxes[rows], seen.labels[rows], np.clip(seen.scores[rows], 0, 1)
-    known = before if before.names == seen.names else Finds(names=seen.names)
+    goes_on = 0 < seen.header.seq - before.seq <= GONE and before.names == seen.names
+    known = before if goes_on else Finds()
     old, new = matched(known, boxes, labels)
     left = np.ones(len(known.boxes), np.bool_)
     left[old] = False
@@ -75,6 +85,7 @@ def after(before: Finds, seen: Detections) -> Finds:
         ratings=ratings[best].astype(np.float32),
         missed=missed[best].astype(np.int32),
         names=seen.names,
+        seq=seen.header.seq,
     )
 
 

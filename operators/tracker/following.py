@@ -83,6 +83,7 @@ class TrackerState:
     called: str = ""  # class that the detector in the ROI gave the object, or the one that was lost
     size_px: float = 0.0  # of that
     lost_frames: int = 0  # since that was lost
+    lost_id: int = NOBODY  # what the policy called it
     finds: Finds = field(default_factory=Finds)
     memory: Memory = ()  # the method's own
 
@@ -134,6 +135,7 @@ class Following:
             called=self._called,
             size_px=self._size_px,
             lost_frames=self._lost,
+            lost_id=self._lost_id,
             finds=self._finds,
             memory=tuple(part.copy() for part in self._method.memory()) if self._begun else (),
         )
@@ -144,7 +146,7 @@ class Following:
         self._missed, self._apart = state.missed_frames, state.apart_frames
         self._hidden, self._place = state.hidden_frames, state.place_frames
         self._called, self._size_px, self._lost = state.called, state.size_px, state.lost_frames
-        self._finds, self._found = state.finds, NONE
+        self._lost_id, self._finds, self._found = state.lost_id, state.finds, NONE
         self._begun = state.begun and self._method.resume(state.memory)
 
     def forget(self) -> None:
@@ -155,25 +157,25 @@ class Following:
         """Follow the object in this box from the next frame on, whatever the policy chooses."""
         self._begin(TrackerState(box=box[None].copy(), prompted=True))
 
-    def step(
-        self, streams: Streams, shown: Proposal | None, seen: Detections | None = None
-    ) -> float:
+    def see(self, seen: Detections) -> None:
+        """Take what a detector finds in the ROI."""
+        self._finds = after(self._finds, seen)
+
+    def step(self, streams: Streams, shown: Proposal | None) -> float:
         """Process one frame; return the method's score, 1 at a start, 0 without an object.
 
-        Of a lost object that is in what a detector has `seen` in the ROI, its rating.
+        Of a lost object that a detector finds in the ROI, its rating.
         """
         score = 0.0
-        if seen is not None:
-            self._finds = after(self._finds, seen)
         if len(self._box) and self._begun:
             score = self._follow(streams, self._search_box(shown))
-            self._note_class()
             self._compare(streams, shown)
+            self._note_class(streams.roi.header.seq)
             self._let_go(shown)
         if not len(self._box) and shown and _startable(shown, streams.roi):
             self._begin(TrackerState(box=shown.box[None].copy(), object_id=shown.object_id))
         if not len(self._box):
-            return self._find_again(streams.roi, known=seen is not None)
+            return self._find_again(streams, shown)
         if not self._begun:
             self._method.start(streams, self._box[0])
             self._begun, score = True, 1.0
@@ -183,21 +185,29 @@ class Following:
         """Change the object; what is found in the ROI does not depend on it."""
         self.restore(replace(state, finds=self._finds))
 
-    def _note_class(self) -> None:
-        """Note what the detector calls the object, by which it is known when it is lost."""
-        if not self._missed and (name := self._finds.name_at(self._box[0])):
+    def _note_class(self, seq: int) -> None:
+        """Note what the detector calls the object, by which it is known when it is lost.
+
+        Not while the tracker may be on something else.
+        """
+        if self._missed or self._apart or self._place or not self._finds.speak_of(seq):
+            return
+        if name := self._finds.name_at(self._box[0]):
             self._called, self._size_px = name, float(sizes(self._box)[0])
 
-    def _find_again(self, roi: Frame, known: bool) -> float:
-        """Note where the lost object is found, and return how sure that is; 0 for nowhere.
-
-        It is nowhere as well if it is not `known` what this ROI shows.
-        """
+    def _find_again(self, streams: Streams, shown: Proposal | None) -> float:
+        """Note where the lost object is found, and return how sure that is; 0 for nowhere."""
         self._found, self._lost = NONE, self._lost + 1
-        if not known or not self._called or self._lost > self.rules.found_for:
+        other = shown is not None and shown.object_id not in (NOBODY, self._lost_id)
+        self._apart = self._apart + 1 if other else 0
+        if self._apart >= self.rules.switch_after:
+            self._called = ""
+        known = self._called and self._finds.speak_of(streams.roi.header.seq)
+        if not known or self._lost > self.rules.found_for:
             return 0.0
         row = self._finds.best(self._called, self._size_px)
-        if row < 0 or not shows(roi, self._finds.boxes[row]):
+        windows = (streams.roi, *streams.further)
+        if row < 0 or not any(shows(window, self._finds.boxes[row]) for window in windows):
             return 0.0
         self._found = self._finds.boxes[row : row + 1].copy()
         return float(self._finds.ratings[row])
@@ -254,7 +264,7 @@ class Following:
             self.lost[reason] += 1
             other = self._prompted or reason == "switch"  # something else is wanted now
             called = "" if other else self._called
-            self._begin(TrackerState(called=called, size_px=self._size_px))
+            self._begin(TrackerState(called=called, size_px=self._size_px, lost_id=self._id))
 
 
 def proposed(scanpath: Scanpath | None, seq: int) -> Proposal | None:

@@ -92,7 +92,7 @@ class Tracker(Operator[S, Percept]):
     roi_2 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
     roi_3 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
     roi_4 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
-    finds = Input(Detections, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
+    finds = Input(Detections, join=False, optional=True)
     scanpath = Input(Scanpath, join=False)
 
     def method(self) -> Method:
@@ -141,32 +141,41 @@ class Tracker(Operator[S, Percept]):
         """Remember what the policy shows."""
         self._scanpath: Scanpath | None = scanpath
 
-    def on_context_roi_roi_2_roi_3_roi_4_finds(
+    def on_finds(self, finds: Detections) -> None:
+        """Note what a detector finds in the ROI, by which a lost object is found again."""
+        self._following.see(finds)
+
+    def on_context_roi(self, context: Frame, roi: Frame) -> Percept:
+        """Find the object in this exposure, or start on one."""
+        return self._find(context, [roi])
+
+    def on_context_roi_roi_2(self, context: Frame, roi: Frame, roi_2: Frame | None) -> Percept:
+        """Likewise, with a second window."""
+        return self._find(context, [roi, roi_2])
+
+    def on_context_roi_roi_2_roi_3(
+        self, context: Frame, roi: Frame, roi_2: Frame | None, roi_3: Frame | None
+    ) -> Percept:
+        """Likewise, with three windows."""
+        return self._find(context, [roi, roi_2, roi_3])
+
+    def on_context_roi_roi_2_roi_3_roi_4(
         self,
         context: Frame,
         roi: Frame,
-        roi_2: Frame | None = None,
-        roi_3: Frame | None = None,
-        roi_4: Frame | None = None,
-        finds: Detections | None = None,
+        roi_2: Frame | None,
+        roi_3: Frame | None,
+        roi_4: Frame | None,
     ) -> Percept:
-        """Find the object in this exposure, or start on one."""
-        return self._find(context, [roi, roi_2, roi_3, roi_4], finds)
+        """Likewise, with four windows."""
+        return self._find(context, [roi, roi_2, roi_3, roi_4])
 
-    # the handlers of the inputs that are connected
-    on_context_roi = on_context_roi_finds = on_context_roi_roi_2_roi_3_roi_4_finds
-    on_context_roi_roi_2 = on_context_roi_roi_2_finds = on_context_roi
-    on_context_roi_roi_2_roi_3 = on_context_roi_roi_2_roi_3_finds = on_context_roi
-    on_context_roi_roi_2_roi_3_roi_4 = on_context_roi
-
-    def _find(
-        self, context: Frame, frames: Sequence[Frame | None], finds: Detections | None = None
-    ) -> Percept:
+    def _find(self, context: Frame, frames: Sequence[Frame | None]) -> Percept:
         following, shown = self._following, proposed(self._scanpath, context.header.seq)
         box = following.box[0] if len(following.box) else shown.box if shown else None
         roi, *further = ordered([frame for frame in frames if frame is not None], box)
         streams = Streams(context=context, roi=roi, further=tuple(further), scratch=self._scratch)
-        score = following.step(streams, shown, finds)
+        score = following.step(streams, shown)
         count = len(following.answer)
         self._frames, self._answered = self._frames + 1, self._answered + count
         self._found += count - len(following.box)

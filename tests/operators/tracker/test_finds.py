@@ -1,5 +1,6 @@
 """What a detector finds in the ROI again and again is told from what comes and goes."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,16 +18,18 @@ NAMES = ("player", "ball")
 BALL = np.array([100, 100, 116, 116], np.float32)
 BADGE = np.array([300, 100, 316, 116], np.float32)
 SIZE_PX = 16.0
+SEQS = itertools.count()
 
 
 def seen(
     *found: tuple[Sequence[float] | NDArray[np.float32], float], label: int = 1,
-    names: tuple[str, ...] = NAMES,
+    names: tuple[str, ...] = NAMES, seq: int = -1,
 ) -> Detections:  # fmt: skip
-    """Return what a detector found: boxes with their scores."""
+    """Return what a detector found: boxes with their scores; each time in the next frame."""
     count = len(found)
     return Detections(
-        header=header(), boxes=np.array([box for box, _ in found], np.float32).reshape(count, 4),
+        header=header(next(SEQS) if seq < 0 else seq),
+        boxes=np.array([box for box, _ in found], np.float32).reshape(count, 4),
         angles=np.zeros(count, np.float32), scores=np.array([s for _, s in found], np.float32),
         labels=np.full(count, label, np.int32), features=np.zeros((count, 0), np.float32),
         names=names,
@@ -97,11 +100,28 @@ def test_classes_of_another_detector_begin_anew() -> None:
     assert finds.ratings.tolist() == pytest.approx([0.27])
 
 
+@pytest.mark.parametrize(("gap", "known"), [(1, True), (GONE, True), (GONE + 1, False), (0, False)])
+def test_finds_of_long_ago_or_of_a_stream_that_began_anew_are_forgotten(
+    gap: int, known: bool
+) -> None:
+    finds = after(Finds(), seen((BALL, 0.9), seq=40))
+
+    assert len(after(finds, seen(seq=40 + gap)).boxes) == known
+    assert not len(after(finds, seen(seq=3)).boxes)
+
+
+def test_finds_speak_of_their_frame_and_of_those_next_to_it() -> None:
+    finds = after(Finds(), seen((BALL, 0.9), seq=40))
+
+    assert [finds.speak_of(seq) for seq in (37, 38, 40, 42, 43)] == [False, True, True, True, False]
+    assert not Finds().speak_of(0)
+
+
 def test_what_is_at_a_box_is_called_by_the_nearest_find_of_this_frame() -> None:
     near, players = seen((BALL + 3, 0.3), (BALL + 30, 0.9)), seen((BALL, 0.9), label=0)
     assert after(Finds(), near).name_at(BALL) == "ball"
     assert after(Finds(), near).name_at(BADGE) == ""
-    assert after(after(Finds(), players), near).name_at(BALL) == "ball"
+    assert after(after(Finds(), players), seen((BALL + 3, 0.3))).name_at(BALL) == "ball"
     assert after(after(Finds(), players), seen()).name_at(BALL) == ""
     assert after(Finds(), seen((BALL, 0.9), label=7)).name_at(BALL) == ""  # of no known class
 

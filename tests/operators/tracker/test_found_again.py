@@ -55,7 +55,8 @@ class Run:
             plan = WORLD.scanpath(self.seq - 1, object_id=shown_id, box=shown)
             self.subject.on_scanpath(**plan)
             frames = WORLD.frames(self.seq, hidden=self.seq >= LOST)
-            percepts.append(self.subject.on_context_roi_finds(**frames, finds=self.found(self.seq)))
+            percepts.append(self.subject.on_context_roi(**frames))
+            self.subject.on_finds(self.found(self.seq))  # in lockstep after the set of its frame
             self.seq += 1
         return percepts
 
@@ -72,7 +73,8 @@ def test_a_lost_object_is_answered_where_it_is_found_and_how_sure_that_is() -> N
     assert all(at(p, BOX) for p in percepts[: LOST + 2])  # `lost_after` 3
     assert all(at(p, PLACE) for p in percepts[LOST + 2 :])
     assert [p.ids.tolist() for p in percepts[-4:]] == [[-1]] * 4
-    assert all(0.5 < p.scores[0] < 0.9 for p in percepts[-4:])
+    ratings = [float(p.scores[0]) for p in percepts[-4:]]
+    assert ratings == pytest.approx([0.9 * (1 - 0.7**n) for n in (2, 3, 4, 5)])
     assert run.subject.summary()["tracker"]["found"] == 4
     assert run.subject.headline() == ""
 
@@ -171,10 +173,77 @@ def test_a_successor_answers_what_its_predecessor_would() -> None:
         assert own.scores.tolist() == other.scores.tolist()
 
 
-def test_a_lost_object_is_not_answered_in_a_frame_whose_finds_come_too_late() -> None:
+def test_a_lost_object_is_not_answered_by_finds_of_long_ago() -> None:
     run = Run()
     assert at(run.until(LOST + 6)[-1], PLACE)
 
-    late = run.subject.on_context_roi_finds(**WORLD.frames(run.seq, hidden=True), finds=None)
+    later = [run.subject.on_context_roi(**WORLD.frames(run.seq + k, hidden=True)) for k in range(4)]
 
-    assert len(late.boxes) == 0  # where it was found before may be empty
+    assert [len(p.boxes) for p in later] == [1, 1, 0, 0]  # of the frames next to the last finds
+
+
+def test_another_object_that_the_policy_shows_after_the_loss_ends_the_answers() -> None:
+    run = Run()
+    assert at(run.until(LOST + 5)[-1], PLACE)
+
+    percepts = run.until(LOST + 9, object_id=8, box=WORLD.other_box())  # which the ROI never shows
+
+    assert [len(p.boxes) for p in percepts] == [1, 0, 0, 0]  # `switch_after` 2
+    assert all(len(p.boxes) == 0 for p in run.until(LOST + 12))
+
+
+def test_the_object_that_was_lost_may_be_shown_elsewhere_without_an_end() -> None:
+    run = Run()
+    run.until(LOST + 5)
+
+    successor = Run()
+    successor.subject.restore(loads(TrackerState, dumps(run.subject.state())))
+    successor.seq = run.seq
+
+    for one in (run, successor):
+        assert all(at(p, PLACE) for p in one.until(LOST + 9, object_id=3, box=WORLD.other_box()))
+
+
+def test_a_tracker_beside_the_object_gives_it_no_other_class() -> None:
+    """The policy shows the object elsewhere, and then a place."""
+
+    def found(seq: int) -> Detections:
+        labels = np.array([1 if seq < 3 else 0, 1], np.int32)  # from then on a player is there
+        return replace(finds(seq, BOX, PLACE), labels=labels)
+
+    run = Run(found, place_after=6, lost_after=50)
+    run.until(3)
+    for k in range(3, 14):
+        shown = {"object_id": 3, "box": WORLD.other_box()} if k < 5 else {"object_id": -1}
+        run.subject.on_scanpath(**WORLD.scanpath(k - 1, **shown))  # type: ignore[arg-type]
+        percept = run.subject.on_context_roi(**WORLD.frames(k))
+        run.subject.on_finds(found(k))
+
+    assert at(percept, PLACE)
+
+
+def test_what_stands_there_gives_a_missed_object_no_other_class_without_a_policy_either() -> None:
+    run = Run(lost_after=6)
+    run.until(LOST)
+    for k in range(LOST, LOST + 9):  # the policy has ended, its last plan ends before the loss
+        percept = run.subject.on_context_roi(**WORLD.frames(k, hidden=True))
+        labels = np.array([0, 1], np.int32)
+        run.subject.on_finds(replace(finds(k, BOX, PLACE), labels=labels))
+
+    assert at(percept, PLACE)
+
+
+def test_what_one_of_several_windows_shows_is_answered() -> None:
+    run = Run()
+    run.until(LOST + 5)
+
+    frames = WORLD.frames(run.seq, hidden=True)
+    away = WORLD.frames(run.seq, hidden=True, at=AWAY)["roi"]
+    run.subject.on_scanpath(**WORLD.scanpath(run.seq - 1, object_id=-1, box=box_at(AWAY)))
+    percept = run.subject.on_context_roi_roi_2(**frames, roi_2=away)
+
+    assert at(percept, PLACE)
+
+
+def box_at(middle: NDArray[np.float32]) -> Box:
+    return np.concatenate([middle - 20, middle + 20]).astype(np.float32)
