@@ -1,6 +1,7 @@
 """Options and error handling shared by the commands of trainings and their evaluations."""
 
 import argparse
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -51,7 +52,8 @@ def in_a_sentence(interrupted: str = "interrupted") -> Iterator[None]:
     except OSError as error:  # a full disk, a file that is not ours
         _end(f"{error.filename}: {error.strerror}" if error.filename else str(error), REFUSED)
     except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one would end it with a traceback
+        # a second one ends it at once; it would end it with a traceback
+        signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
         _end(interrupted, INTERRUPTED)
     finally:
         signal.signal(signal.SIGTERM, before)

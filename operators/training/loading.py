@@ -2,6 +2,7 @@
 
 import signal
 from collections.abc import Iterable, Iterator
+from multiprocessing import resource_tracker
 from typing import TypeVar
 
 from pipeline.errors import FoveaError
@@ -11,6 +12,7 @@ T = TypeVar("T")
 
 def _begun(batches: Iterable[T]) -> Iterator[T]:
     """Begin a loader whose processes never get a Ctrl-C: their end is the training's to tell."""
+    resource_tracker.ensure_running()  # begun later, it would let the processes get it
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return iter(batches)

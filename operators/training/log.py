@@ -1,5 +1,6 @@
 """A training's log.csv: a header, then step, seconds and figures every `EVERY` steps."""
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -21,13 +22,13 @@ def shorten(log: Path, step: int) -> None:
     """Remove log lines after the checkpoint that a training resumes from."""
     if not log.exists():
         return
-    header, *lines = log.read_text().splitlines() or [""]
+    header, *lines = log.read_text().split("\n")[:-1] or [""]  # what follows the last end is torn
     kept, last = list[str](), -1
+    commas = Counter(line.count(",") for line in lines).most_common(1)
     for line in lines:
         number = line.partition(",")[0]
-        # a line that is no whole one was torn by a full disk or a power failure
-        whole = number.isdigit() and line.count(",") == header.count(",")
-        if whole and last < int(number) <= step:
+        # a line with other commas was torn by a full disk or a power failure
+        if number.isdigit() and line.count(",") == commas[0][0] and last < int(number) <= step:
             kept.append(line)
             last = int(number)
     if kept:

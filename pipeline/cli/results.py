@@ -33,7 +33,7 @@ def swap_lines(result: SwapResult, shadow: int = 0) -> list[str]:
     ]
     warnings = [f"{result.node}: {lost_words(result.forgotten)}"] if result.forgotten else []
     if shadow and not result.hot:
-        warnings.append("shadow: none: what is stopped and started has no predecessor beside it")
+        warnings.append("shadow: none: a swap by stopping and starting compares nothing")
     return [", ".join(words), *warnings, *_shadow_lines(result.shadow)]
 
 

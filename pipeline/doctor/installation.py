@@ -131,7 +131,7 @@ def bus() -> Finding:
 
 
 def left_over() -> Iterator[Finding]:
-    """Check for leftovers of killed supervisors; the next start of any graph removes its own."""
+    """Check for leftovers of killed supervisors; the next start of any graph removes fovea's."""
     dead = leftovers()
     if dead:
         todo = "start any graph: it removes them; or `fovea doctor --cleanup`"

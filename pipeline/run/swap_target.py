@@ -259,7 +259,7 @@ def swapped(plan: Plan, order: SwapOrder, told: Mapping[str, Any]) -> Plan:
 
 
 def laid(settings: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings with changes; dots in a name lead into a mapping, as in `run --set`.
+    """Return settings with changes; dots in a name lead into a mapping.
 
     >>> laid({"options": {"scene": "soccer", "seed": 7}}, {"options.seed": 8, "rate": 2})
     {'options': {'scene': 'soccer', 'seed': 8}, 'rate': 2}
@@ -269,7 +269,8 @@ def laid(settings: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
         *way, last = name.split(".")
         place = found
         for key in way:
-            inner = place.get(key, {})
+            inner = place.get(key)
+            inner = {} if inner is None else inner
             if not isinstance(inner, Mapping):  # the name as a whole is refused, which tells it
                 place, last = found, name
                 break

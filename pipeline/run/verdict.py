@@ -126,7 +126,7 @@ def _losses(report: Mapping[str, Any]) -> Finding:
         return Finding(about="losses", held=True, sentence=said)
     total = sum(count for count, _ in lost.values())
     place, (most, edge) = max(lost.items(), key=lambda item: item[1][0])
-    reasons = ", ".join([*edge["dropped"], *(["in a crash"] if edge["lost_in_crash"] else [])])
+    reasons = ", ".join([*edge["dropped"], *(["with a process"] if edge["lost_in_crash"] else [])])
     where = f" on {len(lost)} edges, most on" if len(lost) > 1 else " on"
     count = f" ({most}, {reasons})" if len(lost) > 1 else f" ({reasons})"
     # of a viewer or recorder nothing was promised: no writer waits for it

@@ -90,6 +90,37 @@ def test_a_signal_ends_a_command_and_its_jobs_at_once(
     assert ended(int(told.read_text()))
 
 
+ENDING = """
+import atexit, os, signal, time
+from pathlib import Path
+from operators.training.command_line import GOES_ON, in_a_sentence
+
+def end_slowly():
+    Path({told!r}).write_text("ending")
+    time.sleep(1000)
+
+atexit.register(end_slowly)
+signal.signal(signal.SIGINT, signal.default_int_handler)
+with in_a_sentence(GOES_ON):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(1000)
+"""
+
+
+def test_a_second_interruption_ends_a_command_that_ends_slowly(tmp_path: Path) -> None:
+    told = tmp_path / "told"
+    ending = subprocess.Popen(
+        [sys.executable, "-c", ENDING.format(told=str(told))], stderr=subprocess.PIPE, text=True
+    )
+    wait_for(lambda: told.exists() and told.read_text())
+
+    ending.send_signal(signal.SIGINT)
+    _, errors = ending.communicate(timeout=120)
+
+    said = "fovea: interrupted; repeat the command to resume\n"
+    assert (ending.returncode, errors) == (130, said)
+
+
 def test_a_count_begins_at_one() -> None:
     assert count("3") == 3
     with pytest.raises(argparse.ArgumentTypeError, match="must be at least 1, got 0"):

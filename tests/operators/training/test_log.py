@@ -41,11 +41,21 @@ def test_an_incomplete_line_is_removed(tmp_path: Path) -> None:
 
 def test_a_line_that_ends_early_or_comes_again_is_removed(tmp_path: Path) -> None:
     log, whole = tmp_path / "log.csv", "step,elapsed_s,loss\n0,0,0.6000\n20,2,0.5000\n"
-    log.write_text(f"{whole}20,3,0.4000\n12\n30,4")
+    for torn in ("20,3,0.4000\n12\n30,4", "40,4,", "40,4,0.4"):  # the last may be of 0.4000
+        log.write_text(f"{whole}{torn}")
+
+        shorten(log, 40)
+
+        assert log.read_text() == whole
+
+
+def test_lines_below_a_header_that_was_torn_stay(tmp_path: Path) -> None:
+    log, lines = tmp_path / "log.csv", "20,2,0.5000\n40,4,0.4000\n"
+    log.write_text(f"step,ela\n{lines}")
 
     shorten(log, 40)
 
-    assert log.read_text() == whole
+    assert log.read_text() == f"step,ela\n{lines}"
 
 
 def test_a_log_that_cannot_be_shortened_stays_whole(tmp_path: Path) -> None:

@@ -52,6 +52,10 @@ def test_names_with_dots_change_a_part_of_a_setting_and_leave_the_rest(
     assert settings == {"options": {"scene": "soccer"}, "rate": 2}
 
 
+def test_a_part_of_a_setting_that_is_empty_is_its_first_one() -> None:
+    assert laid({"options": None}, {"options.seed": 8}) == {"options": {"seed": 8}}
+
+
 def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOSSLESS)
     told: list[str] = []

@@ -156,7 +156,7 @@ def test_a_message_that_was_promised_and_lost_is_a_failure() -> None:
 
     assert finding.held is False
     assert "3 of them on edges that keep every message" in finding.sentence
-    assert "(in a crash)" in finding.sentence
+    assert "(with a process)" in finding.sentence
     assert finding.sentence.endswith("; restarted: policy 2 times")
 
 

@@ -1,5 +1,6 @@
 """The detector of what a robot handles: its maps, its loss, and what its export tells Saliency."""
 
+import signal
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -43,7 +44,11 @@ def test_an_interrupted_training_says_that_it_begins_anew(
 
     monkeypatch.setattr(train, "train", interrupted)
 
-    done = CliRunner().invoke(train.command, ["--out", str(tmp_path)])
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        done = CliRunner().invoke(train.command, ["--out", str(tmp_path)])
+    finally:
+        signal.signal(signal.SIGINT, before)  # of a process that ends it is not restored
 
     assert done.exit_code == 130
     assert "interrupted; repeat the command to begin anew" in done.output
