@@ -15,6 +15,7 @@ keeps finding it.
 There is one class per method: `CorrelationTracker`, `VitTracker`, `MixFormerTracker`.
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
@@ -38,6 +39,7 @@ from pipeline import (
 from pipeline.boxes import covered
 
 FURTHER_WAIT_MS = 50.0  # realtime: for further windows of an exposure, where they are connected
+KEPT_PLANS = 8  # more than come while a set waits
 COUNTS = ("lost_after", "drift_after", "switch_after", "hidden_after")
 
 
@@ -138,8 +140,8 @@ class Tracker(Operator[S, Percept]):
         self._following.restore(state)
 
     def on_scanpath(self, scanpath: Scanpath) -> None:
-        """Remember what the policy shows."""
-        self._scanpath: Scanpath | None = scanpath
+        """Remember what the policy shows; a set that waits is older than the newest plan."""
+        self._scanpaths.append(scanpath)
 
     def on_finds(self, finds: Detections) -> None:
         """Note what a detector finds in the ROI, by which a lost object is found again."""
@@ -171,7 +173,9 @@ class Tracker(Operator[S, Percept]):
         return self._find(context, [roi, roi_2, roi_3, roi_4])
 
     def _find(self, context: Frame, frames: Sequence[Frame | None]) -> Percept:
-        following, shown = self._following, proposed(self._scanpath, context.header.seq)
+        following, seq = self._following, context.header.seq
+        plan = next((plan for plan in reversed(self._scanpaths) if plan.first_seq <= seq), None)
+        shown = proposed(plan, seq)
         box = following.box[0] if len(following.box) else shown.box if shown else None
         roi, *further = ordered([frame for frame in frames if frame is not None], box)
         streams = Streams(context=context, roi=roi, further=tuple(further), scratch=self._scratch)
@@ -215,7 +219,7 @@ class Tracker(Operator[S, Percept]):
 
     def _begin(self) -> None:
         """Before the first frame of a stream."""
-        self._scanpath = None
+        self._scanpaths = deque[Scanpath](maxlen=KEPT_PLANS)
         self._following.forget()
         if any(self.settings.init_box):
             self._following.take(np.array(self.settings.init_box, np.float32))

@@ -76,6 +76,18 @@ def test_another_target_is_followed_once_it_was_shown_for_some_frames() -> None:
     assert [int(p.ids[0]) for p in percepts[-2:]] == [8, 8]
 
 
+def test_a_set_that_has_waited_is_judged_by_the_plan_of_its_frame_and_not_by_a_later_one() -> None:
+    percepts = drive(CorrelationTracker, [
+        WORLD.scanpath(4, object_id=3), WORLD.scanpath(5, object_id=8, box=OTHER), WORLD.frames(5),
+        WORLD.frames(6, at=centres(OTHER)),
+    ])  # fmt: skip
+
+    first, second = (percept for percept in percepts if percept is not None)
+    assert first.ids.tolist() == [3]
+    assert on_object(first)
+    assert second.ids.tolist() == [3]  # `switch_after` 2
+
+
 def test_one_wrong_scanpath_changes_nothing() -> None:
     percepts = play(lambda k: (8, OTHER) if k in (6, 9, 10) else (3, None), 16)
 
