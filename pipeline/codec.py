@@ -217,7 +217,10 @@ def parse(decode: Callable[[Buffer], T], data: Buffer, what: str) -> T:
     try:
         return decode(data)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise MessageError(f"{what}: {harmless(str(error), LONGEST_REASON)}") from error
+        # msgspec 0.23 has words and a class of its own for it
+        is_text = isinstance(error, UnicodeError) or "UTF-8" in str(error)
+        why = "expected text in UTF-8, got other bytes" if is_text else str(error)
+        raise MessageError(f"{what}: {harmless(why, LONGEST_REASON)}") from error
 
 
 def _kind(hint: Any, where: str) -> Kind:

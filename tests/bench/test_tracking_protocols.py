@@ -205,9 +205,7 @@ def test_a_policy_that_hears_the_tracker_is_refused(tmp_path: Path) -> None:
 def test_a_verifier_without_its_detector_is_refused(tmp_path: Path) -> None:
     graph = tmp_path / "renamed.yaml"
     known = GRAPH.with_stem("tracking").read_text()
-    graph.write_text(
-        known.replace("  closer: #", "  nearer: #").replace("closer: closer", "closer: nearer")
-    )
+    graph.write_text(known.replace("  closer: #", "  nearer: #").replace(": closer", ": nearer"))
 
     with pytest.raises(GraphError, match=r"tracking is evaluated on .*; no closer"):
         Stages(graph)
