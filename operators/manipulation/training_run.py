@@ -26,7 +26,7 @@ from operators.manipulation.model import ActNet, Shape, export, loss_of
 from operators.manipulation.picture import PICTURE_PX, place
 from operators.manipulation.training_settings import TrainSettings
 from operators.training.checkpoint import Progress, left, path_in, take
-from operators.training.device import device_of, moved
+from operators.training.device import device_of, mixed_precision, moved
 from operators.training.folder import open_folder
 from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
@@ -131,7 +131,7 @@ def _advance(
         group["lr"] = warmed_cosine(step, peak=s.rate, warmup=rise, steps=s.iterations)
     net.train()
     torch.manual_seed(s.seed * s.iterations + step)
-    with torch.autocast(device.type, torch.bfloat16, enabled=device.type != "mps"):
+    with mixed_precision(device):
         loss, error = loss_of(
             net, picture, joints, targets, places, divergence=s.divergence, guide=s.guide
         )

@@ -1,6 +1,6 @@
 """Training of the shipped detector on procedural scenes and labelled stills.
 
-It renders missing scenes, trains in bfloat16 with a running mean of the weights, and writes
+It renders missing scenes, trains in mixed precision with a running mean of the weights, and writes
 checkpoints at intervals, from which it resumes. `--export` writes the ONNX file that fovea ships.
 """
 
@@ -26,7 +26,7 @@ from operators.saliency.stills import Stills, stills
 from operators.saliency.training_settings import TrainSettings
 from operators.training import checkpoint
 from operators.training.averaging import follow, groups
-from operators.training.device import device_of
+from operators.training.device import device_of, mixed_precision
 from operators.training.folder import open_folder
 from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
@@ -184,7 +184,7 @@ def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
     s, batch = run.settings, batch.to(run.device)
     for group in run.optimiser.param_groups:
         group["lr"] = warmed_cosine(run.step, peak=s.rate, warmup=s.warmup, steps=s.steps)
-    with torch.autocast(run.device.type, torch.bfloat16):
+    with mixed_precision(run.device):
         raw = forward(batch.inputs(run.net.channels))
     parts = losses(raw, batch, s.only)
     run.optimiser.zero_grad(set_to_none=True)

@@ -1,10 +1,13 @@
-"""Devices of trainings: a device's name -> the device, and transfer of tensors."""
+"""Devices of trainings: a device's name -> the device, its precision, and transfer of tensors."""
 
 import torch
 from torch import Tensor
 
 from operators.training.ranges import known_device
 from pipeline.errors import SettingsError
+
+# what torch calls the instructions of processors, x86 and ARM
+BFLOAT16 = {"avx512_bf16", "amx_bf16", "bf16", "sve_bf16"}
 
 
 def device_of(name: str) -> torch.device:
@@ -25,6 +28,22 @@ def device_of(name: str) -> torch.device:
     if device.type == "mps" and not torch.backends.mps.is_available():
         raise SettingsError("device: no MPS device here")
     return device
+
+
+def mixed_precision(device: torch.device) -> torch.autocast:
+    """Compute in bfloat16, while this is entered, where the device has instructions for it.
+
+    A processor that has none imitates it: a step of the detector's training then takes nine times
+    as long as in single precision.
+    """
+    return torch.autocast(device.type, torch.bfloat16, enabled=_has_bfloat16(device))
+
+
+def _has_bfloat16(device: torch.device) -> bool:
+    if device.type != "cpu":
+        return bool(device.type != "mps")
+    told = getattr(torch.cpu, "get_capabilities", None)
+    return told is None or not BFLOAT16.isdisjoint(name for name, has in told().items() if has)
 
 
 def moved(values: Tensor, device: torch.device) -> Tensor:

@@ -1,6 +1,6 @@
 """Training of the text detector on pictures that fovea draws itself.
 
-It draws missing pictures, trains in bfloat16 with a running mean of the weights, and writes
+It draws missing pictures, trains in mixed precision with a running mean of the weights, and writes
 checkpoints at intervals, from which it resumes.
 """
 
@@ -25,7 +25,7 @@ from operators.saliency.text.settings import TextTrainSettings
 from operators.saliency.text.streets import Picture
 from operators.training import checkpoint
 from operators.training.averaging import follow, groups
-from operators.training.device import device_of
+from operators.training.device import device_of, mixed_precision
 from operators.training.folder import open_folder
 from operators.training.identity import Identity, of_settings
 from operators.training.log import EVERY, note, shorten
@@ -144,7 +144,7 @@ def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
     s, batch = run.settings, batch.to(run.device)
     for group in run.optimiser.param_groups:
         group["lr"] = warmed_cosine(run.step, peak=s.rate, warmup=s.warmup, steps=s.steps)
-    with torch.autocast(run.device.type, torch.bfloat16):
+    with mixed_precision(run.device):
         raw = forward(batch.pictures.float().div_(255))
     parts = losses(raw, batch)
     run.optimiser.zero_grad(set_to_none=True)

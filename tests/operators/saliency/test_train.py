@@ -25,6 +25,11 @@ from tests.operators.training.elsewhere import PLACE, pretended
 from tests.operators.training.labelled_stills import match_of_stills, write_names
 
 
+@pytest.fixture(autouse=True)
+def _few_pictures_to_measure_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training, "CALIBRATION", 4)  # 64 take seconds each time
+
+
 def settings_in(folder: Path, device: str = "cpu") -> TrainSettings:
     return TrainSettings(data=(folder,), out=folder, steps=8, warmup=2, threads=1, device=device)
 
@@ -55,7 +60,7 @@ def test_a_step_on_another_device_gives_the_same_and_mixes_no_devices(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # torch has no autocast for the fake device
-    monkeypatch.setattr(torch, "autocast", lambda *_: nullcontext())
+    monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
     wanted = steps(Run(settings_in(tmp_path)), 2)
     monkeypatch.setattr(training, "device_of", lambda _: PLACE)
 

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("torch", reason="needs the train extra")
 import torch
 
-from operators.training.device import device_of, has_room, moved
+from operators.training.device import device_of, has_room, mixed_precision, moved
 from pipeline import SettingsError
 from tests.operators.training.elsewhere import PLACE, pretended
 
@@ -31,6 +31,33 @@ def test_a_device_that_is_not_there_is_refused() -> None:
 
 def test_auto_is_a_gpu_where_there_is_one() -> None:
     assert device_of("auto").type == ("cuda" if torch.cuda.is_available() else "cpu")
+
+
+@pytest.mark.parametrize(
+    ("told", "precision"),
+    [
+        ({"avx2": True, "avx512_bf16": False}, torch.float32),
+        ({"avx2": True, "avx512_bf16": True}, torch.bfloat16),
+        ({"neon": True}, torch.float32),
+        ({"neon": True, "bf16": True}, torch.bfloat16),
+    ],
+)
+def test_a_processor_without_bfloat16_computes_in_single_precision(
+    told: dict[str, bool], precision: torch.dtype, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: told)
+
+    with mixed_precision(CPU):
+        product = torch.ones(2, 2) @ torch.ones(2, 2)
+
+    assert product.dtype == precision
+
+
+def test_of_an_older_torch_bfloat16_is_expected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(torch.cpu, "get_capabilities")
+
+    with mixed_precision(CPU):
+        assert (torch.ones(2, 2) @ torch.ones(2, 2)).dtype == torch.bfloat16
 
 
 def test_nothing_is_copied_on_the_cpu() -> None:
