@@ -22,7 +22,7 @@ def remembered() -> dict[str, Hosts]:
         return {}
     except OSError as error:
         raise RunError(f"{path}: cannot be read: {error.strerror}") from error
-    except (msgspec.MsgspecError, ValueError) as error:  # the latter: it is no UTF-8
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:  # no UTF-8, or too deep
         raise RunError(f"{path}: not what `fovea up` wrote: {error}") from error
 
 

@@ -18,6 +18,8 @@ from pipeline.version import described
 
 MOST_MESSAGES = 20_000_000
 KEPT_CHUNKS = 8
+# what decoding raises: text that is no UTF-8 is a ValueError, deep nesting a RecursionError
+UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 REPEATED = ("accounts", "settings")  # an hour of them needs hundreds of megabytes
 Exposure = tuple[str, int]  # stream, seq
 _Place = tuple[int, int]  # position of the chunk in the file, and of the message in the chunk
@@ -60,7 +62,7 @@ class Recording:
         item = self._item(place)
         try:
             record = READ.decode(item.data)
-        except msgspec.MsgspecError as error:
+        except UNREADABLE as error:
             raise MessageError(f"{self.path}: {output}: frame {exposure[1]}: {error}") from error
         picture = self._item(image).data if image else None
         try:
@@ -99,7 +101,7 @@ class Recording:
         elif item.topic.encoding == ENCODING:
             try:
                 record = READ.decode(item.data)
-            except msgspec.MsgspecError:
+            except UNREADABLE:
                 return
             exposure = (record.stream, record.seq)
             exposure = self._same.setdefault(exposure, exposure)
@@ -118,5 +120,5 @@ def counts_at_end(path: Path) -> dict[str, dict[str, int]] | None:
 def _json(data: bytes) -> Any:
     try:
         return msgspec.json.decode(data)
-    except msgspec.MsgspecError:
+    except UNREADABLE:
         return None

@@ -128,7 +128,7 @@ def read_profile(path: Path, plan: Plan) -> RecordedRun:
         run = msgspec.json.decode(_bytes_of(path), type=RecordedRun)
     except OSError as error:
         raise SettingsError(f"{where}: cannot be read: {error.strerror or error}") from error
-    except (msgspec.DecodeError, UnicodeError) as error:
+    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
         raise SettingsError(f"{where}: expected the report of a run: {said_by(error)}") from error
     record = "`fovea run GRAPH --duration-s 30 --report FILE` records one"
     if run.graph != plan.name:

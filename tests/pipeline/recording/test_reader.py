@@ -2,6 +2,7 @@
 
 import errno
 import os
+from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from pipeline.messages import Tracks
 from pipeline.recording.mcap_file import McapWriter
 from pipeline.recording.reader import Recording, counts_at_end
 from pipeline.recording.recorder import Limits, Recorder
+from pipeline.recording.records import fact
 from pipeline.version import described
 from tests.pipeline.recording.test_recorder import frame
 
@@ -65,6 +67,18 @@ def test_what_was_to_begin_a_file_is_dropped_where_the_disk_is_full(
     assert "No space left on device" in recorder.close()
     figures = recorder.figures()["capture.context"]
     assert figures["recorded"] + figures["dropped"] == 60
+
+
+@pytest.mark.parametrize("data", [b"[" * 100_000, b'{"a": "\xff"}', b"", b"3"])
+def test_a_fact_that_cannot_be_read_is_passed_over(data: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    writer = McapWriter(path, chunk_bytes=2000, chunk_s=1)
+    whole = fact("graph", {"version": "0.0.1"}, at_ns=1)
+    for item in (replace(whole, data=data), whole):
+        writer.add(item)
+    writer.close()
+
+    assert Recording(path).facts == {"graph": [{"version": "0.0.1"}]}
 
 
 def test_a_message_of_another_version_is_refused_with_both_versions(tmp_path: Path) -> None:

@@ -119,6 +119,11 @@ def test_any_other_file_is_one_sentence(tmp_path_factory: Any, data: bytes) -> N
         read_profile(folder / "profile.json", load(folder / "graph.yaml"))
 
 
+def test_a_file_that_is_nested_too_deeply_is_one_sentence(plan: Plan, tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match=r"expected the report of a run: .* recursion depth"):
+        read(plan, tmp_path, '{"more": ' + "[" * 100_000)
+
+
 def test_a_file_that_is_not_there_is_one_sentence(plan: Plan, tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"none\.json: cannot be read: No such file"):
         read_profile(tmp_path / "none.json", plan)
