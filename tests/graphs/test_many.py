@@ -13,6 +13,7 @@ from tests.graphs.test_swaps import looks_at
 FRAMES = 16
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("graph", "people"), [("many", 15), ("many_broadcast", 10)])
 def test_the_roi_shows_one_after_the_other_and_no_state_is_lost_in_a_swap(
     graph: str, people: int

@@ -18,6 +18,7 @@ def looks_at(runner: InlineRunner) -> dict[str, UndeclaredState]:
     return {n: UndeclaredState(o) for n, o in operators.items() if not isinstance(o, Source)}
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("graph", ["tracking", *EXAMPLES])
 def test_a_swap_of_a_shipped_operator_warns_of_nothing(graph: str) -> None:
     plan = load(graph_path(graph), Overlay(clock="lockstep"))
