@@ -6,12 +6,14 @@ of which a camera pans.
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 
 from drivers.datasets.images import SUFFIXES
-from drivers.datasets.texts.labels import labels_beside, read_textocr
+from drivers.datasets.texts.labels import labels_file, read_textocr
 from pipeline.errors import DriverError, SettingsError
+from pipeline.fleet.placement import file_digest
 
 ROAD = "road"
 MOST_FILES = 100_000
@@ -24,6 +26,21 @@ class Clip:
     name: str
     changes: tuple[str, ...]  # of the graph, as `--set` takes them
     alike: tuple[str, ...]  # those of one clip for all of the data, which name the kept results
+    files: tuple[Path, ...] = ()  # picture or video, and labels
+
+    def content(self) -> str:
+        """Return what tells the clip from one with other pictures, labels or changes.
+
+        Their folder does not count. Raises `DriverError` for a file that cannot be read.
+        """
+        text = json.dumps([self.name, self.changes])
+        for file in sorted(self.files, key=lambda file: len(str(file)), reverse=True):
+            text = text.replace(str(file), file.name)
+        try:
+            known = "".join(file_digest(file) for file in self.files)
+        except OSError as error:
+            raise DriverError(f"{error.filename}: cannot be read: {error.strerror}") from error
+        return sha256((text + known).encode()).hexdigest()
 
 
 def clips_of(
@@ -55,43 +72,51 @@ def clips_of(
             f"{folder}: expected videos with NAME.json or one JSON file, or photographs with "
             f"labels, got neither among {len(files)} files"
         )
-    first = next(iter(found.values()))
-    return [Clip(name=n, changes=c, alike=first) for n, c in list(found.items())[:count]]
+    first = next(iter(found.values())).changes
+    return [replace(clip, alike=first) for clip in list(found.values())[:count]]
 
 
 def _street(seed: int) -> tuple[str, ...]:
     return (f"capture.seed={seed}",)
 
 
-def _videos(files: list[Path], labels: str, transcriptions: str) -> dict[str, tuple[str, ...]]:
+def _videos(files: list[Path], labels: str, transcriptions: str) -> dict[str, Clip]:
     tables = [file for file in files if file.suffix == ".json"]
     found = {}
     for file in files:
         own = file.with_suffix(".json")
         beside = own if own in tables else tables[0] if len(tables) == 1 else ""
         if file.suffix == ".mp4" and (given := labels or str(beside)):
-            options = {"labels": given}
+            options: dict[str, object] = {"labels": given}
+            read = [file, Path(given)]
             if transcriptions:
                 options["transcriptions"] = transcriptions
-            found[file.name] = _recorded(file, "RoadTextVideo", json.dumps(options))
+                read.append(Path(transcriptions))
+            found[file.name] = _recorded(read, "RoadTextVideo", options)
     return found
 
 
-def _photographs(files: list[Path], frames: int, labels: str) -> dict[str, tuple[str, ...]]:
+def _photographs(files: list[Path], frames: int, labels: str) -> dict[str, Clip]:
     shown = [(n, file) for n, file in enumerate(files) if file.suffix.lower() in SUFFIXES]
     known = read_textocr(Path(labels)) if labels and shown else {}
     found = {}
     for number, file in shown:
-        if known.get(file.name) if labels else labels_beside(file):
-            options: dict[str, object] = {"frames_each": frames, "seed": number}
-            options |= {"labels": labels} if labels else {}
-            found[file.name] = _recorded(file, "PannedPictures", json.dumps(options))
+        options: dict[str, object] = {"frames_each": frames, "seed": number}
+        beside = Path(labels) if labels and known.get(file.name) else None
+        if labels:
+            options["labels"] = labels
+        else:
+            beside = labels_file(file)
+        if beside:
+            found[file.name] = _recorded([file, beside], "PannedPictures", options)
     return found
 
 
-def _recorded(file: Path, source: str, options: str) -> tuple[str, ...]:
+def _recorded(files: list[Path], source: str, options: dict[str, object]) -> Clip:
+    """Return the clip of a picture or video, the first of its files."""
     given = {
-        "scene": "", "source": f"drivers.datasets:{source}", "path": str(file),
-        "source_options": options, "size_px": "[0, 0]", "rate_hz": 0,
+        "scene": "", "source": f"drivers.datasets:{source}", "path": str(files[0]),
+        "source_options": json.dumps(options), "size_px": "[0, 0]", "rate_hz": 0,
     }  # fmt: skip
-    return tuple(f"capture.{name}={value}" for name, value in given.items())
+    changes = tuple(f"capture.{name}={value}" for name, value in given.items())
+    return Clip(name=files[0].name, changes=changes, alike=(), files=tuple(files))

@@ -167,16 +167,16 @@ def measured(asked: Sequence[Job], folder: Path, jobs: int) -> Outcomes:
     paths = {
         job.row: folder / f"{key(job)}.json" for job in asked if job.clip.name == asked[0].clip.name
     }
-    found = {row: {o.clip: o for o in _read(path)} for row, path in paths.items()}
-    left = [job for job in asked if job.clip.name not in found[job.row]]
+    contents = {job.clip.name: job.clip.content() for job in asked}
+    found = {row: _read(path) for row, path in paths.items()}
+    left = [job for job in asked if contents[job.clip.name] not in found[job.row]]
     with pool_of(jobs) as pool, bar("clips", len(asked), len(asked) - len(left)) as shown:
         for job, waiting in [(job, pool.submit(trial, job)) for job in left]:
-            outcome, own = waiting.result(), found[job.row]
-            own[outcome.clip] = outcome
-            write_whole(paths[job.row], json.dumps([asdict(o) for o in own.values()]))
+            own = found[job.row]
+            own[contents[job.clip.name]] = waiting.result()
+            write_whole(paths[job.row], json.dumps({c: asdict(o) for c, o in own.items()}))
             shown.step(f"{job.row.name} {job.row.budget}")
-    clips = dict.fromkeys(job.clip.name for job in asked)
-    return {row: [found[row][clip] for clip in clips] for row in found}
+    return {row: [found[row][content] for content in contents.values()] for row in found}
 
 
 def key(job: Job) -> str:
@@ -268,12 +268,15 @@ def markdown_of(rows: Sequence[dict[str, Any]]) -> str:
     return "".join(f"| {' | '.join(each)} |\n" for each in lines)
 
 
-def _read(path: Path) -> list[Outcome]:
-    """Return the outcomes in a file; none if it is missing or damaged: they are measured again."""
+def _read(path: Path) -> dict[str, Outcome]:
+    """Return the outcomes in a file by their clip's content.
+
+    None if it is missing or damaged, or made before contents were told: they are measured again.
+    """
     try:
-        return [Outcome(**each) for each in json.loads(path.read_text())]
-    except (FileNotFoundError, ValueError, TypeError):
-        return []
+        return {content: Outcome(**each) for content, each in json.loads(path.read_text()).items()}
+    except (FileNotFoundError, ValueError, TypeError, AttributeError):
+        return {}
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ still valid. File paths, number of threads and device do not affect the result a
 """
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from importlib.util import find_spec
@@ -14,7 +15,7 @@ from typing import Any
 from pipeline import settings as checked
 from pipeline.contract import settings_of
 from pipeline.errors import WeightsError
-from pipeline.fleet.placement import code_digest, file_digest
+from pipeline.fleet.placement import code_digest, file_digest, is_code, module_file, strings
 from pipeline.graph.plan import Node, Plan, load_operator
 from pipeline.weights import entries, require
 
@@ -24,6 +25,8 @@ SHARED = (  # with what nodes calculate, besides their own code
     *("pipeline.boxes", "pipeline.colours", "pipeline.inference", "pipeline.messages"),
     *("pipeline.pixel_formats", "pipeline.text"),
 )
+SHIPPED = ("bench", "drivers", "operators", "pipeline")
+IMPORT_PATH = re.compile(r"\w+(\.\w+)*:\w+")
 DIGITS = 16  # of a checksum: enough to tell apart, short enough to be read
 
 
@@ -55,7 +58,7 @@ def of_nodes(nodes: Iterable[Node]) -> dict[str, str]:
             for name, value in values.items()
             if name not in INDIFFERENT
         }
-        found |= of_code(node.operator)
+        found |= of_code(node.operator, *_classes_of_others(values))
     return found
 
 
@@ -71,6 +74,13 @@ def differing(before: Identity, now: Identity) -> list[str]:
     ['seed', 'steps']
     """
     return sorted(name for name in {*before, *now} if before.get(name) != now.get(name))
+
+
+def _classes_of_others(values: Mapping[str, Any]) -> list[str]:
+    """Import paths among settings, as a scene of one's own: classes that fovea does not ship."""
+    named = {path for path in strings(values, is_code) if IMPORT_PATH.fullmatch(path)}
+    others = {path for path in named if path.partition(":")[0].split(".")[0] not in SHIPPED}
+    return sorted(path for path in others if module_file(path) is not None)
 
 
 def _networks(operator: str, weights: str) -> list[Path | str]:

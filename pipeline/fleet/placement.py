@@ -97,7 +97,7 @@ class Allowed:
             for path in code_of(node.operator, node.settings):
                 module = path.partition(":")[0]
                 wanted = ANY if self.code is None else self.code.get(path, ANY)
-                if wanted != ANY and (file := _module_file(module)) is not None:
+                if wanted != ANY and (file := module_file(module)) is not None:
                     files[module] = str(file)
         return files
 
@@ -184,7 +184,7 @@ def code_of(operator: str, settings: Any) -> list[str]:
 
 def code_digest(path: str) -> str:
     """Return the sha256 of the files of a class's module or package; raises `SettingsError`."""
-    origin = _module_file(path.partition(":")[0])
+    origin = module_file(path)
     if origin is None:
         raise SettingsError(f"{path}: not installed here")
     files = sorted(origin.parent.rglob("*.py")) if origin.name == "__init__.py" else [origin]
@@ -308,9 +308,9 @@ def _settings(node: Node, allowed: Allowed, own: Mapping[str, Any]) -> dict[str,
     return {**allowed.localise(foreign, node.name), **own}
 
 
-def _module_file(module: str) -> Path | None:
-    """Where a module lies; neither it nor the packages around it are imported."""
-    first, *rest = module.split(".")
+def module_file(path: str) -> Path | None:
+    """Return where the module of an import path lies, without importing it; None: nowhere here."""
+    first, *rest = path.partition(":")[0].split(".")
     try:
         spec = importlib.util.find_spec(first)
     except (ImportError, ValueError):

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -122,6 +123,22 @@ def test_each_labelled_photograph_of_a_folder_is_a_clip(tmp_path: Path) -> None:
     assert [each.clip for each in outcomes] == ["img_0.png", "img_1.png"]
     assert [each.legible for each in outcomes] == [1, 1]
     assert [each.read for each in outcomes] == [1, 1]
+
+
+def test_the_content_of_a_clip_is_that_of_its_pictures_and_labels(tmp_path: Path) -> None:
+    folder = photographs(tmp_path)
+    clips = partial(clips_of, str(folder), count=9, frames=3, seed=0)
+    before = [clip.content() for clip in clips()]
+    assert before == [clip.content() for clip in clips()]
+
+    (folder / "gt_img_0.txt").write_text("195,155,360,155,360,195,195,195,BAKER\n")
+    relabelled = [clip.content() for clip in clips()]
+    cv2.imwrite(str(folder / "img_1.png"), np.zeros((360, 640, 3), np.uint8))
+    repainted = [clip.content() for clip in clips()]
+
+    assert relabelled[0] != before[0]
+    assert relabelled[1] == before[1] != repainted[1]
+    assert repainted[0] == relabelled[0]
 
 
 def test_a_video_goes_with_the_labels_of_its_name_or_the_only_ones(tmp_path: Path) -> None:
@@ -300,7 +317,8 @@ def test_an_interrupted_evaluation_goes_on_where_it_was(tmp_path: Path) -> None:
     assert CliRunner().invoke(command, [*words, "--clips", "1"]).exit_code == 0
     (path,) = (tmp_path / "work").glob("*.json")
     first = json.loads(path.read_text())
-    first[0]["legible"] = 77
+    (kept,) = first.values()
+    kept["legible"] = 77
     path.write_text(json.dumps(first))
 
     report = tmp_path / "report.json"

@@ -6,6 +6,7 @@ Read are ICDAR-2013 and -2015 (`gt_img_1.txt`), labelme (`img_1.json`), Total-Te
 
 import csv
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -134,17 +135,30 @@ def read_textocr(path: Path) -> dict[str, list[Label]]:
     return found
 
 
+READERS = {
+    "gt_{}.txt": read_icdar, "{}.txt": read_icdar, "{}.json": read_labelme,
+    "poly_gt_{}.txt": read_total_text,
+}  # fmt: skip
+
+
 def labels_beside(picture: Path) -> list[Label] | None:
     """Return the labels in a file beside a picture or in its folder's sibling; None without any."""
-    stem, folder = picture.stem, picture.parent
-    known = {
-        f"gt_{stem}.txt": read_icdar, f"{stem}.txt": read_icdar, f"{stem}.json": read_labelme,
-        f"poly_gt_{stem}.txt": read_total_text,
-    }  # fmt: skip
+    found = _beside(picture)
+    return found[1](found[0]) if found else None
+
+
+def labels_file(picture: Path) -> Path | None:
+    """Return the file that `labels_beside` reads; None without any."""
+    found = _beside(picture)
+    return found[0] if found else None
+
+
+def _beside(picture: Path) -> tuple[Path, Callable[[Path], list[Label]]] | None:
+    folder = picture.parent
     for place in (folder, folder.parent / "labels", folder.parent / "gt"):
-        for name, read in known.items():
-            if (place / name).is_file():
-                return read(place / name)
+        for name, read in READERS.items():
+            if (file := place / name.format(picture.stem)).is_file():
+                return file, read
     return None
 
 
