@@ -16,6 +16,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from bench.outputs import write_figure
 from bench.tracking.plots import looks
 from pipeline.errors import SettingsError
 from pipeline.extras import need
@@ -250,4 +251,4 @@ def plot(cells: Sequence[Cell], path: Path) -> None:
     figure.legend(
         list(names.values()), list(names), loc="outside lower center", ncols=5, fontsize=8
     )
-    figure.savefig(path, dpi=140)
+    write_figure(figure, path)

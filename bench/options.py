@@ -1,5 +1,6 @@
 """Options and error handling shared by benches that run a graph."""
 
+import argparse
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -15,17 +16,26 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def writable(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
     """Return a file that can be written, its folder made: hours of work come before it."""
-    if path is None:
-        return None
+    if path is not None and (why := _unwritable(path)):
+        raise click.BadParameter(why, param=option)
+    return path
+
+
+def new_file(text: str) -> Path:
+    """Return a file as `writable` does, for argparse."""
+    if why := _unwritable(Path(text)):
+        raise argparse.ArgumentTypeError(why)
+    return Path(text)
+
+
+def _unwritable(path: Path) -> str:
+    """Make the folder of a file; return why the file cannot be written, empty if it can."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        told = f"{path.parent}: cannot be a folder: {error.strerror}"
-        raise click.BadParameter(told, param=option) from error
+        return f"{path.parent}: cannot be a folder: {error.strerror}"
     place = path if path.exists() else path.parent
-    if path.is_dir() or not os.access(place, os.W_OK):
-        raise click.BadParameter(f"{path}: cannot be written", param=option)
-    return path
+    return f"{path}: cannot be written" if path.is_dir() or not os.access(place, os.W_OK) else ""
 
 
 JSON = click.option(

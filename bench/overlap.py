@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.outputs import write_figure
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE
 from pipeline import Frame, Input, Operator, Percept, Truth
 from pipeline.boxes import covered, iou
@@ -221,5 +222,5 @@ def plot(rows: Sequence[Mapping[str, Any]], path: Path, title: str) -> None:
     axis.set(title=title, xlabel="minute", ylim=(-0.06, 1.03))
     axis.legend(fontsize=7, ncols=3)
     figure.tight_layout()
-    figure.savefig(path, dpi=140)
+    write_figure(figure, path)
     pyplot.close(figure)

@@ -7,18 +7,19 @@ SoccerNet sequence. Sizes and speeds are pixels of a picture 1920 wide, at 25 pi
 import argparse
 import json
 from collections import defaultdict
-from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.machine import facts
+from bench.options import new_file
 from drivers.datasets.soccernet import SoccerNetSequence
 from drivers.scenes.soccer import SoccerScene
 from drivers.source import Annotations, FrameSource
 from operators.training.command_line import count
 from pipeline.errors import FoveaError
+from pipeline.whole_file import write_whole
 
 RATE_HZ = 25.0
 PICTURE_EVERY = 10  # frames between two whose pixels are measured
@@ -120,7 +121,7 @@ def main() -> None:
     parser.add_argument("--data", help="folder of a SoccerNet sequence")
     parser.add_argument("--seeds", type=count, default=4)
     parser.add_argument("--frames", type=count, default=500)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=new_file)
     values = parser.parse_args()
     cv2.setNumThreads(1)
     columns: dict[str, Samples] = {}
@@ -139,9 +140,8 @@ def main() -> None:
     print(table(columns))
     if values.json:
         text = {c: {n: summary(v) for n, v in s.items()} for c, s in columns.items()}
-        values.json.write_text(
-            json.dumps({**facts(), "seeds": list(range(values.seeds)), "table": text}, indent=1)
-        )
+        found = {**facts(), "seeds": list(range(values.seeds)), "table": text}
+        write_whole(values.json, json.dumps(found, indent=1))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ import json
 import math
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -20,10 +19,12 @@ import psutil
 from numpy.typing import NDArray
 
 from bench.machine import facts
+from bench.options import new_file
 from bench.results.markdown import table_of
 from drivers.readout import scaled
 from drivers.scenes import WholePitchScene
 from drivers.simulated.windows import WindowedPicture
+from pipeline.whole_file import write_whole
 
 Size = tuple[int, int]
 PARTS = ("place", "roi", "context", "all")
@@ -130,7 +131,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=300, help="exposures of each kind")
     parser.add_argument("--endure", type=int, default=1000, help="exposures for the memory")
     parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=new_file)
     values = parser.parse_args()
     if values.frames < 3 or values.endure < 4 or values.seed < 0:
         parser.error("expected --frames of at least 3, --endure of at least 4 and --seed from 0 on")
@@ -143,7 +144,7 @@ def main() -> None:
     print(table_of(rows), table_of(memory), sep="\n\n")
     if values.json:
         found = {"bench": "whole_pitch", "seed": values.seed, "rows": rows, "memory": memory}
-        values.json.write_text(json.dumps({**facts(), **found}, indent=1) + "\n")
+        write_whole(values.json, json.dumps({**facts(), **found}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

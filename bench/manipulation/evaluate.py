@@ -25,7 +25,7 @@ from bench.manipulation.intervals import METHOD, paired, wilson
 from bench.manipulation.rows import Row, parsed, rows_of
 from bench.manipulation.trial import Job, Outcome, needed, plan_of, trial
 from bench.options import graph_option
-from bench.outputs import STANDARD_OUTPUT, make_room
+from bench.outputs import STANDARD_OUTPUT, make_room, work_folder
 from drivers.scenes.insertion import COMPLETE, PARTIAL
 from operators.training.identity import of_code, of_plan
 from operators.training.progress import bar
@@ -78,7 +78,7 @@ def evaluate(
         changes = (*changes, f"manipulation.weights={consumer}")
     own = Job(graph=graph, changes=changes)
     asked = rows_of(strategies.split(","), parsed(budgets), plan_of(own))
-    work = work or (report or Path("manipulation")).with_suffix(".work")
+    work = work_folder(work, report, "manipulation.work")
     make_room(work, report=report, markdown=markdown)
     outcomes = measured(own, asked, range(seed, seed + trials), work, jobs)
     found = {

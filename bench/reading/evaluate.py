@@ -23,7 +23,7 @@ from rich.table import Table
 
 from bench.machine import facts
 from bench.options import Bench, graph_option
-from bench.outputs import STANDARD_OUTPUT, make_room
+from bench.outputs import STANDARD_OUTPUT, make_room, work_folder
 from bench.reading.clips import ROAD, clips_of
 from bench.reading.plot import plot
 from bench.reading.rows import EXPOSURE, FOVEATED, FULL, INPUTS, PARTS, Row, rows_of
@@ -36,6 +36,7 @@ from operators.training.workers import pool_of
 from pipeline.errors import SettingsError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
+from pipeline.terminal import lean_table
 from pipeline.whole_file import write_whole
 
 GRAPH = Path(__file__).parents[2] / "graphs" / "text.yaml"
@@ -112,7 +113,7 @@ def evaluate(
         without=without,
     )  # fmt: skip
     refuse_too_short(asked, frames)
-    work = work or (report or Path("text")).with_suffix(".work")
+    work = work_folder(work, report, "text.work")
     make_room(work, report=report, markdown=markdown, plot=picture)
     outcomes = measured(
         [
@@ -256,7 +257,8 @@ def cells(row: dict[str, Any]) -> list[str]:
 
 def table_of(rows: Sequence[dict[str, Any]]) -> Table:
     """Return the table for the terminal."""
-    table = Table(*HEAD)
+    strategy, budget, read, *others = HEAD
+    table = lean_table(names=[strategy], figures=[budget, read, *others])
     for row in rows:
         table.add_row(*cells(row))
     return table

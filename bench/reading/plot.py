@@ -5,6 +5,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from bench.outputs import write_figure
 from bench.tracking.plots import looks
 from pipeline.extras import need
 
@@ -41,4 +42,4 @@ def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
     panel.set_ylim(0, 1)
     panel.grid(alpha=0.3)
     figure.legend(loc="outside lower center", ncols=4, fontsize=8)
-    figure.savefig(path, dpi=140)
+    write_figure(figure, path)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.outputs import write_figure
 from bench.reading.plot import plot as plot_reading
 from bench.results.report import Report
 from bench.results.table import ResultTable
@@ -27,7 +28,7 @@ def draw_table(found: ResultTable, path: Path) -> bool:
     rows = curves_of(found)
     if rows:
         need("matplotlib", "plot")
-        figure_of(rows).savefig(path, dpi=140)
+        write_figure(figure_of(rows), path)
     return bool(rows)
 
 
@@ -95,7 +96,7 @@ def draw_rules(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         panel.grid(axis="x", alpha=0.3)
     marks = dict(zip(*reversed(panels[0].get_legend_handles_labels()), strict=True))
     figure.legend(marks.values(), marks, loc="outside lower center", ncols=2, fontsize=8)
-    figure.savefig(path, dpi=140)
+    write_figure(figure, path)
 
 
 def draw_manipulation(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -109,7 +110,7 @@ def draw_manipulation(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     ]  # fmt: skip
     figure = figure_of(of)
     figure.axes[0].set_ylabel("share of the trials")
-    figure.savefig(path, dpi=140)
+    write_figure(figure, path)
 
 
 DRAWN: Mapping[str, Callable[[Any, Path], None]] = {

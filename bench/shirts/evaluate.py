@@ -23,7 +23,7 @@ import click
 
 from bench.machine import facts
 from bench.options import Bench, graph_option
-from bench.outputs import make_room
+from bench.outputs import make_room, work_folder
 from bench.reading.evaluate import finite, within
 from bench.shirts.tally import Counts
 from bench.shirts.trial import STRATEGIES, Job, Outcome, plan_of, rate_of, trial
@@ -76,7 +76,7 @@ def command(
         for strategy in dict.fromkeys(wanted)
         for budget in ([Fraction(1)] if strategy == "full" else parsed(budgets))
     ]
-    work = work or (report or Path("shirts")).with_suffix(".work")
+    work = work_folder(work, report, "shirts.work")
     make_room(work, report=report)
     jobs_of = {
         row: [

@@ -54,7 +54,7 @@ from bench.tracking.many_tables import (
 from bench.tracking.options import ALL, GRAPH, WHOLE, Options, options_of, refuse_too_late
 from bench.tracking.plots import plot
 from bench.tracking.replaced import PARTS
-from bench.tracking.report import paired, rows
+from bench.tracking.report import Row, paired, rows
 from bench.tracking.stages import Stages
 from bench.tracking.stock import giver
 from bench.tracking.tables import asked_rows, markdown, table
@@ -132,6 +132,8 @@ def evaluate(options: Options) -> None:
             f"{options.data}: nothing to follow: no {' or '.join(options.targets)} can be seen in "
             "the frames asked for"
         )
+    scored = rows(units)
+    refuse_unscored(wanted, scored, options)
     seed = protocol.seed
     found = {
         **facts(),
@@ -153,7 +155,7 @@ def evaluate(options: Options) -> None:
         "every": protocol.every,
         "budgets": [str(budget) for budget in options.budgets],
         "seed": seed,
-        "rows": rows(units),
+        "rows": scored,
         "paired": paired(units, wanted),
     }
     if options.report:
@@ -161,6 +163,18 @@ def evaluate(options: Options) -> None:
     if options.plot:
         plot(asked_rows(found), options.plot)
     tell(found, options.markdown)
+
+
+def refuse_unscored(wanted: Sequence[Case], scored: Sequence[Row], options: Options) -> None:
+    """Tell strategies that have a figure in no frame; raises `DriverError` if none has one."""
+    known = {(row["strategy"], row["budget"]) for row in scored}
+    none = [f"{c.name} at {c.budget}" for c in wanted if (c.name, c.budget) not in known]
+    if not none:
+        return
+    said = f"no frame can be scored of {', '.join(none)}: expected longer clips (--frames)"
+    if not known:
+        raise DriverError(f"{options.data}: {said}")
+    click.echo(f"fovea eval tracking: {said}", err=True)
 
 
 def score_many(options: Options) -> None:

@@ -6,7 +6,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
-from bench.outputs import PLOTS, make_room
+from bench.outputs import PLOTS, make_room, work_folder
 from bench.tracking.budgets import CONTEXT, PURSUIT, parsed
 from bench.tracking.episode import Rules
 from bench.tracking.replaced import PARTS, Replaced
@@ -24,6 +24,7 @@ LEAST = {
     **dict.fromkeys(("clips", "players", "every", "longest", "replan", "jobs"), 1),
     **dict.fromkeys(("delay", "seed"), 0),
 }
+MOST_CLIPS = 1000
 UNUSED_BY_MANY: Mapping[str, Any] = {  # with their defaults
     "targets": tuple(KINDS), "players": 1, "every": 8, "longest": Rules.longest,
     "tracker": "", "sees": "both", "cue": "none", "protocol": "short", "states": False,
@@ -73,6 +74,8 @@ class Options:
             lowest = min(value) if isinstance(value, tuple) else value
             if lowest < least:
                 raise SettingsError(f"{name}: must be at least {least}, got {lowest}")
+        if self.clips > MOST_CLIPS:
+            raise SettingsError(f"clips: must be at most {MOST_CLIPS}, got {self.clips}")
         first, last = self.frames
         if self.frames != WHOLE and not 1 <= first < last:
             raise SettingsError(f"frames: expected A-B with B after A, got {first}-{last}")
@@ -103,8 +106,7 @@ class Options:
     @property
     def folder(self) -> Path:
         """The folder of finished units."""
-        beside = self.report.with_suffix(".work") if self.report else Path(".fovea-eval")
-        return self.work or beside
+        return work_folder(self.work, self.report, ".fovea-eval")
 
     def make_room(self) -> None:
         """Make the output folders; raises `SettingsError` for a file that cannot be written."""

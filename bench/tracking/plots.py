@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.outputs import write_figure
 from bench.tracking.cases import LONG
 from bench.tracking.report import Row, share
 
@@ -25,7 +26,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     """Write the picture in the format of the suffix; write nothing if no row has a figure."""
     rows = [row for row in rows if row["iou"] is not None]
     if rows:
-        figure_of(rows).savefig(path, dpi=140)
+        write_figure(figure_of(rows), path)
 
 
 def figure_of(rows: Sequence[Row]) -> "Figure":

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import signal
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from pipeline.errors import FoveaError
 from pipeline.extras import remedy
 
 GOES_ON = "interrupted; repeat the command to resume"
+_NO_MEMORY = re.compile(r"out of memory|can't allocate memory|not enough memory")
 REFUSED, INTERRUPTED, STOPPED = 2, 128 + signal.SIGINT, 128 + signal.SIGTERM
 
 
@@ -47,6 +49,10 @@ def in_a_sentence(interrupted: str = "interrupted") -> Iterator[None]:
         if not (why := remedy(error)):
             raise
         _end(why, REFUSED)
+    except (MemoryError, RuntimeError) as error:  # torch raises the latter
+        if isinstance(error, RuntimeError) and not _NO_MEMORY.search(str(error)):
+            raise
+        _end("not enough memory; a training needs less with a smaller --batch", REFUSED)
     except (FileExistsError, NotADirectoryError) as error:
         _end(f"{error.filename}: expected a folder, got a file", REFUSED)
     except OSError as error:  # a full disk, a file that is not ours

@@ -13,7 +13,7 @@ from pipeline import exits, output, signals
 from pipeline.cli.deferred import Deferred
 from pipeline.errors import FoveaError, GraphError, InstallError, SettingsError, WeightsError
 from pipeline.extras import remedy
-from pipeline.text import error_text, harmless
+from pipeline.text import error_text, harmless, said_by
 from pipeline.user_modules import look_in
 
 LOGGING = ("run", "agent", "router")  # commands whose output is a log; the others print a result
@@ -109,9 +109,13 @@ def _carry_out() -> None:
     except FoveaError as error:
         output.complain(f"fovea: {error}")
         sys.exit(2 if isinstance(error, USAGE) else 1)
-    except (OSError, MemoryError) as error:  # out of descriptors, memory or disk space
-        if isinstance(error, OSError) and output.is_lost(error):
+    except OSError as error:  # out of descriptors or disk space
+        if output.is_lost(error):
             raise
+        where = f"{error.filename}: " if error.filename else ""
+        output.complain(f"fovea: {harmless(where + (error.strerror or said_by(error)))}")
+        sys.exit(1)
+    except MemoryError as error:
         output.complain(f"fovea: {harmless(error_text(error))}")
         sys.exit(1)
 

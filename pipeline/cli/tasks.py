@@ -39,6 +39,9 @@ def command_of(task: str, verb: str) -> click.Command:
     path = find(task)
     known = commands_of(path)
     if verb not in known:
+        if path.parent == TASKS:
+            there_is = ", ".join(f"fovea {other} {task}" for other in known)
+            raise GraphError(f"fovea {verb} {task}: no such command, there is {there_is}")
         got = ", ".join(known) or "nothing"
         raise GraphError(f"{path}: expected {verb}: module:command, got {got}")
     try:
@@ -62,7 +65,8 @@ def task_command(verb: str, summary: str) -> click.Command:
     @click.argument("words", nargs=-1, type=click.UNPROCESSED)
     def command(task: str | None, words: tuple[str, ...]) -> None:
         if task is None or task in ("-h", "--help"):
-            names = [path.stem for path in sorted(TASKS.glob("*.yaml")) if commands_of(path)]
+            paths = sorted(TASKS.glob("*.yaml"))
+            names = [path.stem for path in paths if verb in commands_of(path)]
             click.echo(f"fovea {verb} TASK [OPTIONS]: {summary}\ntasks: {', '.join(names)}")
             return
         found = command_of(task, verb)

@@ -1,6 +1,7 @@
 """`fovea tune`: threads and providers that keep a graph's rate with the least processor time."""
 
 import os
+import shlex
 from dataclasses import asdict
 from math import floor
 from pathlib import Path
@@ -10,6 +11,7 @@ import click
 import msgspec
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
+from rich.text import Text
 
 from pipeline import terminal
 from pipeline.cli.arguments import JSON, Finite, print_json
@@ -68,10 +70,24 @@ def tune(
     for sentence in verdict(choices, rate, needed, cores):
         console.print(sentence)
     if out:
-        console.print(f"{out}: fovea run {graph} --settings {out}")
+        _print_whole(f"{out}: {command_with(graph, out, **laid)}")
     elif settings:
         told = (f"--set {node}.{k}={v}" for node, each in settings.items() for k, v in each.items())
-        console.print("to have it: " + " ".join(told))
+        _print_whole("to have it: " + " ".join(told))
+
+
+def command_with(
+    graph: Path, out: Path, *, source: Path | None, changes: tuple[str, ...], **_: Any
+) -> str:
+    """Return the command that runs the graph as it was tuned, for a shell."""
+    words = ["fovea", "run", str(graph), *(["--source", str(source)] if source else [])]
+    words += [word for change in changes for word in ("--set", change)]
+    return shlex.join([*words, "--settings", str(out)])
+
+
+def _print_whole(text: str) -> None:
+    """Print a command to be copied: a line of its own, however narrow the terminal is."""
+    console.print(Text(text), soft_wrap=True)
 
 
 def rate_of(plan: Plan) -> float:
@@ -79,7 +95,7 @@ def rate_of(plan: Plan) -> float:
     found = examine(plan, built_settings(plan), this_machine())
     rates = [stream.rate_hz for stream in found.streams if stream.made and stream.rate_hz]
     if not rates:
-        raise SettingsError(f"{plan.name}: its source tells no rate: give --rate")
+        raise SettingsError(f"{plan.name}: its source tells no rate before it runs: give --rate")
     return max(rates)
 
 

@@ -46,6 +46,9 @@ def read(*words: str) -> Options:
         (["--plot", "plot.xyz"], "plot: expected .png, .pdf, .svg at the end, got plot.xyz"),
         (["--plot", "plot"], "plot: expected .png, .pdf, .svg at the end, got plot"),
         (["--data", "/nowhere"], "/nowhere: expected a folder of SoccerNet sequences"),
+        (["--clips", "1001"], "clips: must be at most 1000, got 1001"),
+        (["--report", ""], "report: expected a file, got ."),
+        (["--report", "-"], "report: expected a file, got -; --markdown - prints"),
         (["--missed", ".3"], "missed: expected only with --many, got 0.3 without"),
     ],
 )
@@ -134,6 +137,19 @@ def test_an_evaluation_without_a_visible_target_is_an_error(tmp_path: Path) -> N
         f"{folder}: nothing to follow: no ball can be seen in the frames asked for"
     )
     assert "| target |" not in result.output
+
+
+def test_an_evaluation_of_nothing_that_can_be_scored_is_an_error(tmp_path: Path) -> None:
+    words = ["--data", "procedural", "--clips", "1", "--frames", "1-12", "--jobs", "1"]
+    words += ["--work", str(tmp_path / "work"), "--tracker", "correlation", "--targets", "ball"]
+
+    result = CliRunner().invoke(command, [*words, "--strategies", "temporal", "--budget", "1/64"])
+
+    assert result.exit_code == 2
+    assert result.output.splitlines()[-1].endswith(
+        "procedural: no frame can be scored of temporal, no cue at 1/64: expected longer clips "
+        "(--frames)"
+    )
 
 
 def test_values_that_are_named_twice_count_once() -> None:

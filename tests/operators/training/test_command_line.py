@@ -33,6 +33,9 @@ if __name__ == "__main__":
 """
 
 
+NO_MEMORY = "not enough memory; a training needs less with a smaller --batch"
+
+
 @pytest.mark.parametrize(
     ("error", "said"),
     [
@@ -40,6 +43,9 @@ if __name__ == "__main__":
         (NotADirectoryError(20, "Not a directory", "a/b"), "a/b: expected a folder, got a file"),
         (PermissionError(13, "Permission denied", "a/b"), "a/b: Permission denied"),
         (OSError(28, "No space left on device"), "[Errno 28] No space left on device"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: 9 bytes"), NO_MEMORY),
+        (RuntimeError("CUDA out of memory. Tried to allocate 20.00 MiB."), NO_MEMORY),
+        (MemoryError(), NO_MEMORY),
     ],
 )
 def test_expected_errors_are_printed_in_a_sentence(
@@ -52,9 +58,10 @@ def test_expected_errors_are_printed_in_a_sentence(
     assert capsys.readouterr().err == f"fovea: {said}\n"
 
 
-def test_unexpected_errors_keep_their_traceback() -> None:
-    with pytest.raises(ZeroDivisionError), in_a_sentence():
-        raise ZeroDivisionError
+@pytest.mark.parametrize("error", [ZeroDivisionError(), RuntimeError("shapes do not fit")])
+def test_unexpected_errors_keep_their_traceback(error: Exception) -> None:
+    with pytest.raises(type(error)), in_a_sentence():
+        raise error
 
 
 def test_signal_handlers_are_restored_afterwards() -> None:

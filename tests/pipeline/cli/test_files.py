@@ -203,3 +203,13 @@ def test_a_path_to_record_to_is_taken_as_it_is(graph: Path, tmp_path: Path) -> N
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert list(RrdReader(path).stream())
+
+
+def test_a_full_standard_output_is_told_in_plain_words() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "pipeline.entry", "ps"],
+            stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+
+    assert (done.returncode, done.stderr) == (1, "fovea: No space left on device\n")

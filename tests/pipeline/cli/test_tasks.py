@@ -75,6 +75,17 @@ def test_without_a_task_the_known_ones_are_listed(capsys: pytest.CaptureFixture[
     assert "tasks: acting, manipulation, shirts, text, tracking" in capsys.readouterr().out
 
 
+def test_a_task_without_a_training_is_neither_listed_for_it_nor_trained(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    task_command("train", "learn").main([], standalone_mode=False)
+
+    assert "shirts" not in capsys.readouterr().out
+    with pytest.raises(GraphError) as refused:
+        command_of("shirts", "train")
+    assert str(refused.value) == "fovea train shirts: no such command, there is fovea eval shirts"
+
+
 @pytest.mark.parametrize("word", ["-h", "--help"])
 def test_a_task_shows_its_options(word: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):

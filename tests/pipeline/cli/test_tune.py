@@ -1,11 +1,12 @@
 """`fovea tune` measures what a graph's nodes take, and writes settings that a run accepts."""
 
 import json
+import shlex
 from pathlib import Path
 
 import pytest
 
-from pipeline.cli.tune import changes_of, ways_of, yaml_of
+from pipeline.cli.tune import changes_of, command_with, ways_of, yaml_of
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay, read_settings
 from pipeline.graph.shipped import graph_path
@@ -69,6 +70,19 @@ def test_a_run_takes_the_file(tmp_path: Path) -> None:
     assert f"{bad}:2: settings.policy: expected a mapping" in told.stderr
 
 
+def test_the_command_that_is_told_can_be_copied() -> None:
+    changes = ("capture.path=my clip.mp4", "policy.target=player")
+
+    told = command_with(
+        Path("g.yaml"), Path("tu ne.yaml"), source=Path("video.yaml"), changes=changes, clock=None
+    )
+
+    assert shlex.split(told) == [
+        "fovea", "run", "g.yaml", "--source", "video.yaml", "--set", "capture.path=my clip.mp4",
+        "--set", "policy.target=player", "--settings", "tu ne.yaml",
+    ]  # fmt: skip
+
+
 def test_what_is_tried_is_what_the_node_does_not_have() -> None:
     assert [settings for _, settings in ways_of(NetworkSettings(), 3)][:2] == [
         {"threads": 2}, {"threads": 3},
@@ -100,4 +114,4 @@ def test_a_graph_without_networks_has_nothing_to_tune(tmp_path: Path) -> None:
     unknown = command("tune", str(path))
 
     assert "expected a node with a setting `threads`, got none" in done.stderr
-    assert "its source tells no rate: give --rate" in unknown.stderr
+    assert "its source tells no rate before it runs: give --rate" in unknown.stderr
