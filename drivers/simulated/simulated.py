@@ -233,7 +233,7 @@ class SimulatedSensor:
         found: dict[str, Any] = {
             RATE: {"asked_hz": round(asked_hz, 3), "achieved_hz": round(achieved_hz, 3)}
         }
-        if any(self._sampling.window_px):
+        if any(self._sampling.window_px) and self._exposed:
             shares = {n: v for n, v in self._coverage.shares().items() if n != "mean"}
             told = ", ".join(f"{name} {share:.1%}" for name, share in shares.items())
             if len(shares) > MOST_LABELS:  # texts, each a label of its own

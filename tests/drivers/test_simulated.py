@@ -9,6 +9,7 @@ import pytest
 
 from drivers.sensor import Exposure
 from drivers.simulated import SimulatedSensor, SimulatedSensorSettings
+from drivers.simulated.coverage import Coverage
 from drivers.simulated.simulated import MOST_LABELS
 from pipeline.errors import DriverError, PoolExhausted
 from tests.drivers.contract import check_sensor, command, memory, read, refuse, started
@@ -188,6 +189,14 @@ def test_the_headline_states_the_share_inside_the_roi_where_it_is_known() -> Non
     assert seen.summary()["headline"] == "share of the true boxes inside the ROI: ball 100.0%"
     assert "headline" not in unread.summary()  # nothing was read of it
     assert "headline" not in whole.summary()  # there is no ROI
+
+
+def test_nothing_is_said_of_a_truth_of_which_nothing_was_exposed() -> None:
+    subject = sensor(strategy="oracle", frames=24)
+    play(subject)
+    subject._exposed, subject._coverage = 0, Coverage()  # as if no memory had been left
+
+    assert "headline" not in subject.summary()
 
 
 def test_an_oracle_that_knows_no_object_of_its_label_is_told_as_one_in_the_middle() -> None:
