@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline import Frame, Input, Message, Operator
+from pipeline import Frame, Input, Message, Operator, Source
 from tests.samples import Pair, Ticker
 
 
@@ -239,6 +239,33 @@ class Deserter(Ticker):
         if self.seq == 10:
             os._exit(0)
         return super().produce()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlowStartSettings:
+    """How long it opens, and the stem of the files that tell what it did."""
+
+    open_s: float = 0.5
+    notes: str = ""
+
+
+class SlowStart(Source[SlowStartSettings, Frame]):
+    """A source that takes its time to open, and ends at its first exposure."""
+
+    def open(self) -> None:
+        self._note("opens")
+        time.sleep(self.settings.open_s)
+        self._note("opened")
+
+    def produce(self) -> Frame | None:
+        self._note("exposes")
+        return None
+
+    def close(self) -> None:
+        self._note("closes")
+
+    def _note(self, word: str) -> None:
+        Path(f"{self.settings.notes}-{word}").touch()
 
 
 class Clinging(Pair):

@@ -70,39 +70,51 @@ class Group:
         self._border: Session | None = None
         self._headlines: dict[str, str] = {}
         self._wiring: Wiring | None = None
+        self._ending = threading.Event()
         self.go = threading.Event()
         self.failed = False
 
     def run(self) -> None:
         """Open everything, run until stopped, close everything."""
-        began_s = time.monotonic()
         try:
             self._check()
             if self._job.trial:
                 return self.say(Fits(imported(self._nodes)))
-            for node in self._nodes:
-                if not self._job.standby:
-                    account = self._ledger.nodes[node.index]
-                    account.epoch = self._job.epochs[node.name]
-                    account.enter("starting")
-                self._operators.append(self._make(node))
-                open_operator(node.name, self._operators[-1])
-            loaded_s = time.monotonic()
-            self._session = Session(Path(self._job.run_folder), self._job.instance)
-            if self._job.network is not None:
-                self._border = Session.across(self._job.network)
-            self._wiring = Wiring(self._job, self._session, self._ledger, self.say, self._border)
-            self._runners = [
-                self._wiring.runner(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
-            ]
-            gc.collect()
-            gc.freeze()  # loaded objects stay: exclude them from garbage collection
-            self.say(Ready(loaded_s - began_s, imported(self._nodes)))
-            self._run_all()
+            if self._open():
+                self._run_all()
         except BaseException as error:  # an operator may raise SystemExit, a library panic
             self.report(error)
         finally:
             self._close()
+
+    def _open(self) -> bool:
+        """Open and connect every operator; return False, without the rest, if it has to stop."""
+        began_s = time.monotonic()
+        for node in self._nodes:
+            if self._ending.is_set():
+                return False
+            if not self._job.standby:
+                account = self._ledger.nodes[node.index]
+                account.epoch = self._job.epochs[node.name]
+                account.enter("starting")
+            self._operators.append(self._make(node))
+            open_operator(node.name, self._operators[-1])
+        if self._ending.is_set():
+            return False
+        loaded_s = time.monotonic()
+        self._session = Session(Path(self._job.run_folder), self._job.instance)
+        if self._job.network is not None:
+            self._border = Session.across(self._job.network)
+        self._wiring = Wiring(self._job, self._session, self._ledger, self.say, self._border)
+        self._runners = [
+            self._wiring.runner(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
+        ]
+        gc.collect()
+        gc.freeze()  # loaded objects stay: exclude them from garbage collection
+        if self._ending.is_set():  # tested after the runners are set, as `stop` tests them after it
+            return False
+        self.say(Ready(loaded_s - began_s, imported(self._nodes)))
+        return True
 
     def _check(self) -> None:
         """Check contracts of an operator that is new in a running graph, before opening."""
@@ -114,10 +126,11 @@ class Group:
                 self._make(node)
 
     def stop(self) -> None:
-        """Make every runner return."""
-        self.go.set()
+        """Make every runner return; while operators are opened: close them instead of running."""
+        self._ending.set()  # runners that do not exist yet could not be told
         for runner in self._runners:
             runner.stop()
+        self.go.set()  # last, so that a source which waits for it makes no exposure
 
     def finish(self) -> None:
         """Make sources stop producing."""

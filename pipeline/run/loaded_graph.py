@@ -110,7 +110,8 @@ def run_processes(plan: Plan, frames: int, duration_s: float) -> Report:
                 break
             supervisor.tick()
         elapsed_s = supervisor.exposed_s
-        supervisor.finish()
+        if supervisor.begun:
+            supervisor.finish()
         supervisor.stop()
         if supervisor.failure:
             raise RunError(supervisor.failure)

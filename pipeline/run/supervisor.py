@@ -116,8 +116,9 @@ class Supervisor:
 
     @property
     def exposed_s(self) -> float:
-        """Return the time since the first exposure, in seconds."""
-        return time.monotonic() - (self.manager.exposing_since_s or self.started_s)
+        """Return the time since the first exposure, in seconds; 0 if the run never began."""
+        since_s = self.manager.exposing_since_s or (self.started_s if self.begun else 0.0)
+        return time.monotonic() - since_s if since_s else 0.0
 
     def allow_restarts(self, count: int) -> None:
         """Allow at least this many restarts, whatever the graph sets; for tests that kill nodes."""

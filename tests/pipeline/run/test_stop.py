@@ -12,10 +12,25 @@ from pipeline.client.find import find
 from pipeline.errors import RunError
 from pipeline.protocol.codec import decode, encode
 from pipeline.protocol.orders import RESULT, Refused, Result, StopOrder, StopResult, SwapOrder
+from pipeline.run.loaded_graph import account_of
 from pipeline.run.rundir import running
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import LOSSLESS, beside, handled, plan_of, until, wait_for
 
+SLOW_START = """\
+nodes:
+  eye:
+    operator: tests.faulty_samples:SlowStart
+    group: eyes
+    settings: {notes: FOLDER/eye}
+  other:
+    operator: tests.faulty_samples:SlowStart
+    group: eyes
+    settings: {notes: FOLDER/other}
+  see:
+    operator: tests.samples:Pass
+    inputs: {frame: eye}
+"""
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 
 
@@ -104,3 +119,32 @@ def test_a_part_of_a_deployed_graph_is_ended_where_it_was_deployed(tmp_path: Pat
         pytest.raises(RunError, match=f"was deployed; `fovea stop {plan.name}` ends it"),
     ):
         supervisor.control.take(StopOrder(), lambda _: None)
+
+
+def test_a_stop_while_nodes_open_closes_what_was_opened_and_exposes_nothing(
+    tmp_path: Path,
+) -> None:
+    plan = plan_of(tmp_path, SLOW_START.replace("FOLDER", str(tmp_path)))
+    with Supervisor(plan) as supervisor:
+        supervisor.asked_to_end = lambda: int((tmp_path / "eye-opens").exists())
+        supervisor.start()
+        supervisor.stop()
+        report = account_of(supervisor, supervisor.exposed_s)
+
+    opened, closed, exposed = (
+        [path.name.partition("-")[0] for path in sorted(tmp_path.glob(f"*-{deed}"))]
+        for deed in ("opened", "closes", "exposes")
+    )
+    assert "eye" in opened
+    assert (closed, exposed) == (opened, [])
+    assert (report["crashes"], report["duration_s"]) == ({}, 0)
+    assert report["verdict"][0]["sentence"] == "no frame was made"
+
+
+def test_a_graph_that_is_stopped_before_it_ran_names_no_rate(tmp_path: Path) -> None:
+    with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
+        supervisor.asked_to_end = lambda: 1
+        supervisor.start()
+        supervisor.stop()
+
+        assert (supervisor.begun, supervisor.exposed_s) == (False, 0)
