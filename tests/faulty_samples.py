@@ -103,6 +103,8 @@ class Unruly(Operator[UnrulySettings, Frame]):
     def close(self) -> None:
         if self.settings.kind == "exit_in_close":
             os._exit(0)
+        if self.settings.kind == "hang_in_close":
+            time.sleep(1000)
 
     def summary(self) -> Mapping[str, Any]:
         if self.settings.kind == "huge_summary":

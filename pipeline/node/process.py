@@ -21,7 +21,7 @@ from typing import NoReturn
 from pipeline.node.control import Control
 from pipeline.node.group import FAREWELL_S, Group, failure
 from pipeline.node.inspection import inspect
-from pipeline.node.logfile import log_to
+from pipeline.node.logfile import LogFile, log_to
 from pipeline.node.wiring import ASIDE
 from pipeline.process_tree import adopt_orphans, descendants, end, session_of, zombies
 from pipeline.protocol.supervision import (
@@ -88,7 +88,8 @@ def _work(control: Control) -> bool:
 
     group = Group(job, control.say, look)
     threading.excepthook = partial(_on_thread, group)
-    threading.Thread(target=_obey, args=(group, control, instructions), daemon=True).start()
+    obey = partial(_obey, group, control, instructions, file)
+    threading.Thread(target=obey, daemon=True).start()
     group.run()
     return group.failed
 
@@ -162,7 +163,10 @@ def _level() -> None:
             os.setpriority(os.PRIO_PROCESS, int(thread), os.getpriority(os.PRIO_PROCESS, 0))
 
 
-def _obey(group: Group, control: Control, instructions: Iterator[Instruction]) -> None:
+def _obey(
+    group: Group, control: Control, instructions: Iterator[Instruction], file: LogFile
+) -> None:
+    """Pass instructions on until `Stop`; leave if the group takes too long to close after it."""
     for told in instructions:
         if isinstance(told, Go):
             group.go.set()
@@ -174,6 +178,7 @@ def _obey(group: Group, control: Control, instructions: Iterator[Instruction]) -
             group.do(told)
     group.stop()
     threading.Event().wait(FAREWELL_S)
+    faulthandler.dump_traceback(file)  # shows what does not return
     _leave(2, alone=control.alone)
 
 

@@ -16,6 +16,7 @@ from pipeline.bus.session import Session
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
 from pipeline.graph.ports import Ports
+from pipeline.node.group import FAREWELL_S
 from pipeline.protocol.orders import GRAPH
 from pipeline.protocol.supervision import (
     Event,
@@ -265,6 +266,11 @@ class Supervisor:
         self._hear()
         for handle in handles:
             status = handle.ended()
+            if status == TOO_LATE and not (handle.left or self.in_haste):
+                log.warning(
+                    "%s: did not close within %g s; its device may still be open, see %s",
+                    handle.name, FAREWELL_S, self.manager.run_folder.to_read(handle.name),
+                )  # fmt: skip
             if status in (None, KILLED, TOO_LATE) or (status == 0 and handle.left):
                 continue
             self._restarts.count_crash(handle.name)

@@ -208,6 +208,22 @@ def test_an_exit_of_a_part_while_it_is_stopped_is_reported_and_loses_no_frame(
     assert report["summaries"]["after"]["seen"] == list(range(20))
 
 
+def test_a_part_that_does_not_close_in_time_is_named_and_its_log_has_the_stack(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    plan = unruly_plan(tmp_path, kind="hang_in_close")
+
+    report = go(plan, 5)
+
+    (said,) = [message for message in caplog.messages if message.startswith("unruly")]
+    assert said == (
+        "unruly: did not close within 3 s; its device may still be open, "
+        f"see `fovea logs {plan.name} unruly`"
+    )
+    assert "in close" in (base() / plan.name / "unruly.log").read_text()
+    assert report["summaries"]["after"]["seen"] == list(range(5))
+
+
 def test_a_part_that_ends_repeatedly_in_its_first_open_ends_the_start(
     tmp_path: Path,
 ) -> None:
