@@ -358,7 +358,7 @@ class Supervisor:
             self._restarts.on_end(managed, status, now_s)
         elif managed.handle.ready and not managed.handle.going:
             self.manager.let_go(managed)
-        elif why := self.health.problem(managed):
+        elif not managed.handle.killed and (why := self.health.problem(managed)):
             log.error("%s: %s; killed", managed.name, why)
             managed.last_words = why
             managed.handle.kill(with_traceback=True)

@@ -6,12 +6,13 @@ import signal
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from pipeline.graph.plan import Node, Restart
 from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.process_handle import ProcessHandle
 from pipeline.run.restarts import Restarts
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
@@ -30,6 +31,21 @@ from tests.sample_graphs import (
     wait_for,
     wait_for_progress,
 )
+
+
+class Lingering:
+    """A deaf process that, as one with gigabytes to free, has not ended when it was killed."""
+
+    deaf = True
+
+    def __init__(self, handle: ProcessHandle | None) -> None:
+        self._handle = handle
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._handle, name)
+
+    def ended(self) -> None:
+        """Say that it lives."""
 
 
 @pytest.mark.lengthy
@@ -54,6 +70,21 @@ def test_killed_operators_come_back_and_the_accounts_still_add_up(tmp_path: Path
     assert_accounts_add_up(report)
     assert report["restarts"] == dict.fromkeys(victims, 1)
     assert report["failure"] == ""
+
+
+def test_a_process_that_takes_long_to_end_is_killed_and_named_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with Supervisor(plan_of(tmp_path, together(CHAIN, "ticker", "glance"))) as supervisor:
+        supervisor.start()
+        managed = supervisor.processes["count"]
+        handle, managed.handle = managed.handle, cast("ProcessHandle", Lingering(managed.handle))
+        for _ in range(5):
+            supervisor.tick()
+        managed.handle = handle
+
+    said = [message for message in caplog.messages if message.endswith("; killed")]
+    assert said == ["count: does not read what it is told; killed"]
 
 
 def test_a_run_ends_while_its_source_is_away(tmp_path: Path) -> None:
