@@ -188,7 +188,8 @@ def _process_rows(label: str, said: Said, nodes: Sequence[str]) -> Iterator[tupl
         if label:
             yield (label, "", _told(state), "", *figures)
         for process in state.processes:
-            seen = _red("gone") if not process.pid else Text("" if label else state.phase)
+            words = "" if label else _phase(process, state)
+            seen = Text(words) if process.pid else _red("gone")
             yield (
                 "" if label else label, process.name, seen, ", ".join(process.nodes),
                 *([str(process.pid), f"{process.cpu_s:.1f}", f"{process.rss_mb:.0f}"]
@@ -197,6 +198,12 @@ def _process_rows(label: str, said: Said, nodes: Sequence[str]) -> Iterator[tupl
             )  # fmt: skip
     for node in absent(said, nodes):
         yield ("", "", _red(condition(said)), node, *figures)
+
+
+def _phase(process: Process, state: State) -> str:
+    """Return whether a process runs or starts, by its own nodes: those of others may be away."""
+    opened = (node.opened for node in state.nodes if node.name in process.nodes)
+    return "running" if all(opened) else "starting"
 
 
 def _add(table: Table, *cells: Cell) -> None:

@@ -225,7 +225,8 @@ class _BusTap(Listener):
 def state_from(facts: Mapping[str, Any], ledger: Ledger) -> State:
     """Return the state of a local graph from its record and its ledger."""
     nodes = tuple(_node(node, ledger) for node in facts["nodes"])
-    waits = any(node.condition in ("absent", "starting") for node in nodes)
+    gone = {node["name"] for node in facts["nodes"] if node["process"] in facts["gone"]}
+    waits = any(not node.opened for node in nodes if node.name not in gone)
     return State(
         graph=facts["graph"],
         label=HERE,

@@ -216,6 +216,11 @@ class NodeState(Part, frozen=True):
     loop_ms: dict[str, float]
     provider: str = ""  # what computes its networks; empty without one
 
+    @property
+    def opened(self) -> bool:
+        """Whether its operator has been opened by its current process."""
+        return self.condition not in ("absent", "starting")
+
 
 class EdgeState(Part, frozen=True):
     """An edge, seen from the host of its reader."""

@@ -306,6 +306,9 @@ class ProcessManager:
                 "plan": adapter(Plan).dump_python(self.plan, mode="json"),
                 "revision": self.revision,
                 "pids": {s.name: s.handle.pid for s in self.processes.values() if s.handle},
+                "gone": [
+                    s.name for s in self.processes.values() if not (s.handle or s.next_start_s)
+                ],
                 "restarts": self.restarts,
                 "crashes": self.crashes,
             }

@@ -55,6 +55,7 @@ class _Facts(msgspec.Struct):
     pids: dict[str, int]  # by process
     restarts: dict[str, int] = {}  # by process
     crashes: dict[str, int] = {}  # by process
+    gone: list[str] = []  # processes that ended and will not restart
 
 
 _READ = msgspec.json.Decoder(_Facts)
@@ -129,7 +130,7 @@ def noted(folder: PrivateFolder) -> dict[str, Any]:
         facts = _READ.decode(folder.read(FACTS, MOST_FACTS_BYTES))
     except (OSError, msgspec.MsgspecError, ValueError, RecursionError):
         return {}
-    names = [facts.graph, *facts.pids, *facts.restarts, *facts.crashes]
+    names = [facts.graph, *facts.pids, *facts.restarts, *facts.crashes, *facts.gone]
     names += [name for n in facts.nodes for name in (n.name, n.process)]
     if not all(map(is_name, names)) or not RUN_ID.fullmatch(facts.run):
         return {}

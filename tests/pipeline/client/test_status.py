@@ -1,8 +1,12 @@
 """The status of a local graph lists its processes with their restarts and crashes."""
 
 import signal
+from functools import partial
 from pathlib import Path
 
+from rich.console import Console
+
+from pipeline.cli.tables import process_table
 from pipeline.client.find import find
 from pipeline.protocol.fleet import Process
 from pipeline.protocol.orders import SwapOrder
@@ -45,6 +49,39 @@ def test_the_status_has_restarts_and_crashes_of_every_process(tmp_path: Path) ->
     assert counts == {"ticker": (0, 0), "glance": (1, 1), "count": (0, 1)}
     assert found["count"].pid == 0  # it is gone; its number may be that of another process by now
     assert found["count"].nodes == ("count",)
+
+
+def states(graph: str) -> tuple[str, dict[str, str]]:
+    """Return the phase of a graph, and what `ps` says of each of its processes."""
+    status = find(graph).status()
+    (said,) = status.hosts.values()
+    assert not isinstance(said, str)
+    with (console := Console(width=200)).capture() as caught:
+        console.print(process_table([status]))
+    rows = [line.split() for line in caught.get().splitlines() if line.startswith(graph)]
+    return said[0].phase, {name: word for _, name, word, *_ in rows}
+
+
+def test_a_node_that_is_away_for_good_does_not_make_the_others_starting(tmp_path: Path) -> None:
+    text = CHAIN.replace("  count:\n", "  count:\n    restart: never\n")
+    text = text.replace("  glance:\n", "  glance:\n    restart: {backoff_s: 60}\n")
+    plan = plan_of(tmp_path, text)
+    seen: list[tuple[str, dict[str, str]]] = []
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: min(handled(supervisor, n) for n in ("count", "glance")) > 3)
+        for node in ("count", "glance"):
+            send_signal(supervisor, node, signal.SIGKILL)
+            wait_for(supervisor, partial(supervisor.crashes.get, node))
+            seen.append(states(plan.name))
+        supervisor.finish()
+
+    go(plan, 0, during)
+
+    assert seen == [
+        ("running", {"ticker": "running", "glance": "running", "count": "gone"}),
+        ("starting", {"ticker": "running", "glance": "gone", "count": "gone"}),
+    ]
 
 
 def providers(graph: str) -> dict[str, str]:

@@ -228,7 +228,7 @@ FACTS = {
     "graph": "a", "run": "0" * 16, "pid": 1, "clock": "realtime", "plan": {}, "revision": 0,
     "nodes": [{"name": "eye", "index": 0, "process": "eye", "operator": "m:C"}],
     "edges": [{"from": "eye", "to": "work.frame", "index": 0}], "pids": {"eye": 1},
-    "restarts": {"eye": 2}, "crashes": {"eye": 3},
+    "restarts": {"eye": 2}, "crashes": {"eye": 3}, "gone": ["eye"],
 }  # fmt: skip
 
 
@@ -247,6 +247,7 @@ def test_what_a_supervisor_notes_is_read_as_it_is(tmp_path: Path) -> None:
     [
         {"graph": "../.."}, {"run": "x"}, {"run": "../" + "0" * 13}, {"pid": "1"},
         {"pids": {"a/b": 1}}, {"restarts": {"a/b": 1}}, {"crashes": {"eye": "1"}},
+        {"gone": ["a/b"]}, {"gone": "eye"},
         {"nodes": [{"name": "../x", "index": 0, "process": "eye", "operator": "m:C"}]},
         {"nodes": [{"name": "eye", "index": 0, "process": "/tmp/x", "operator": "m:C"}]},
         {"nodes": None}, {"edges": [1]}, {"plan": []},
