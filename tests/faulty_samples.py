@@ -1,6 +1,7 @@
 """Operators with one fault each, to test how a supervisor handles them."""
 
 import ctypes
+import math
 import multiprocessing
 import os
 import shlex
@@ -111,6 +112,10 @@ class Unruly(Operator[UnrulySettings, Frame]):
             return {"huge": [0.5] * self.settings.size}
         if self.settings.kind == "long_summary":
             return {"long": "x" * self.settings.size}
+        if self.settings.kind == "wrong_summary":
+            return {"kept": 3, "wrong": {"deep": object()}, "round": math.pi}
+        if self.settings.kind == "no_summary":
+            return None  # type: ignore[return-value]
         if self.settings.kind == "odd_summary":
             return {"frames": 3, "iou": {"mean": None}, "failure": "no", "\ud800": "\x1b[2J\ud800"}
         if self.settings.kind == "exit_in_summary":

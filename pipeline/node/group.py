@@ -252,10 +252,22 @@ def failure(error: BaseException) -> Failed:
     return Failed(said_by(error) if expected else cause_of(error), expected)
 
 
-def _summary(node: str, figures: Mapping[str, Any]) -> Summary:
-    """Return a node's figures as plain values; none if they exceed the limit."""
-    values = json.loads(json.dumps(dict(figures)))
-    told = Summary(node, plain(values, most_chars=MOST_EVENT_BYTES))  # a reader cuts them, once
+def _summary(node: str, figures: object) -> Summary:
+    """Return a node's figures as plain values, without those that JSON cannot hold.
+
+    There are none if they are no mapping, or exceed the limit.
+    """
+    if not isinstance(figures, Mapping):
+        return Summary(node, {}, f"summary() returned {type(figures).__name__}, no mapping")
+    values: dict[str, Any] = {}
+    left_out: list[str] = []
+    for name, value in figures.items():
+        try:
+            values |= json.loads(json.dumps({name: value}))
+        except (TypeError, ValueError, RecursionError) as error:
+            left_out.append(f"only {name} of what summary() returned: {said_by(error)}")
+    kept = plain(values, most_chars=MOST_EVENT_BYTES)  # a reader cuts them, once
+    told = Summary(node, kept, "; ".join(left_out))
     if (size := len(encode(told))) > MOST_EVENT_BYTES:
         return Summary(node, {}, f"expected up to {MOST_EVENT_BYTES} bytes, got {size}")
     return told

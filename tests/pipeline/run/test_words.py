@@ -1,6 +1,7 @@
 """Texts from nodes are bounded and sanitised for readers; the nodes' logs have them whole."""
 
 import json
+import math
 import socket
 import subprocess
 import sys
@@ -113,6 +114,34 @@ def test_a_huge_summary_is_left_out_and_the_report_has_the_reason(
     assert found["left_out"]["unruly"].startswith("expected up to 1048576 bytes, got 1")
     assert "unruly: its summary is left out: expected up to" in done.stdout
     assert found["frames"]["exposed"] == 20
+
+
+def test_a_figure_that_is_no_plain_value_is_left_out_of_a_summary_with_the_reason(
+    tmp_path: Path,
+) -> None:
+    graph, report = unruly_file(tmp_path, kind="wrong_summary"), tmp_path / "r.json"
+
+    done = subprocess.run(
+        [*FOVEA, "run", str(graph), "--frames", "20", "--report", str(report)],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+    found = json.loads(report.read_text())
+    why = "only wrong of what summary() returned: Object of type object is not JSON serializable"
+    assert found["left_out"] == {"unruly": why}
+    assert f"unruly: its summary is left out: {why}" in done.stdout
+    assert (found["kept"], found["round"], found["crashes"]) == (3, math.pi, {})
+
+
+def test_a_summary_that_is_no_mapping_is_left_out_with_the_reason(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    report = go(unruly_plan(tmp_path, kind="no_summary"), 20)
+
+    said = "unruly: its summary is left out: summary() returned NoneType, no mapping"
+    assert said in caplog.messages
+    assert report["crashes"] == {}
 
 
 def test_a_long_text_in_a_summary_is_cut_with_the_number_of_missing_characters(
