@@ -4,6 +4,7 @@ Another policy, budget or detector thus runs on the same light. The frames must 
 field; a graph records them with the sensor's strategy `full`.
 """
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,16 @@ from numpy.typing import NDArray
 from drivers.source import Annotations
 from pipeline.errors import DriverError, FoveaError
 from pipeline.messages import Frame, Truth
-from pipeline.recording.reader import Exposure, Recording
+from pipeline.recording.reader import Exposure, Recording, and_broken
+
+log = logging.getLogger(__name__)
 
 
 class RecordedFrames:
-    """A `FrameSource` over one output of a recording; frames that it lacks are left out."""
+    """A `FrameSource` over one output of a recording; frames that it lacks are left out.
+
+    Logs a warning when the file is cut or damaged, because frames are then missing at the end.
+    """
 
     def __init__(
         self, *, path: str, output: str = "capture.context", truth: str = "capture.truth"
@@ -29,7 +35,11 @@ class RecordedFrames:
         self._frames: list[Exposure] = list(self._recording.messages.get(output, ()))
         if not self._frames:
             known = ", ".join(sorted(self._recording.messages))
-            raise DriverError(f"{path}: expected frames of {output}, got those of {known}")
+            got = f"those of {known}" if known else "no messages"
+            raise DriverError(
+                f"{path}: expected frames of {output}, got {got}"
+                f"{and_broken(self._recording.broken)}"
+            )
         first = self._frame(0)
         height, width = first.pixels.shape[:2]
         geometry = first.header.geometry
@@ -41,6 +51,8 @@ class RecordedFrames:
             )
         self.size_px = (width, height)
         self.length: int | None = len(self._frames)
+        if self._recording.broken:
+            log.warning("%s: %s; it has %d frames", path, self._recording.broken, self.length)
         self.rate_hz = 0.0  # frame by frame: a recording in lockstep has no rate
 
     def picture(self, index: int) -> NDArray[np.uint8]:

@@ -124,7 +124,7 @@ def replay_command(
         try_recording(save, "--save")
     recording = Recording(file)
     if recording.broken:
-        output.complain(f"fovea: {recording.broken}")
+        output.complain(f"fovea: {file}: {recording.broken}")
     if graph is None:
         if save or any(laid.values()):
             raise click.UsageError("--save, --source, --set, --clock, --with: they need GRAPH")

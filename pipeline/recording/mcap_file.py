@@ -29,6 +29,7 @@ COMPRESSION = {
 }  # fmt: skip
 MOST_RECORD_BYTES = 1 << 30
 MOST_RECORDS = 1_000_000  # of a chunk
+MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # of a record: its kind and its length
 BROKEN = (
     McapError, ValueError, struct.error, zstandard.ZstdError, EOFError, IndexError, KeyError,
@@ -143,8 +144,9 @@ class _Whole:
 
 
 class McapChunks:
-    """The whole chunks of a file, in order. `broken` says why it ends early, empty if it does not.
+    """The whole chunks of a file, in order, up to where it ends or is damaged.
 
+    `broken` says that it is cut or damaged, and after how many chunks; empty: it is neither.
     Schemas and channels are known once the chunk that holds them was read.
     """
 
@@ -154,11 +156,11 @@ class McapChunks:
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, Topic] = {}
         try:
-            first = _begin_of(path, 8)
+            first = _begin_of(path, len(MAGIC))
         except (OSError, ValueError) as error:  # a NUL in its name is a ValueError
             why = (isinstance(error, OSError) and error.strerror) or str(error)
             raise RunError(f"{path}: cannot be read: {why}") from error
-        if first != b"\x89MCAP0\r\n":
+        if first != MAGIC:
             raise RunError(f"{path}: expected an MCAP file, got something else")
 
     def scan(self) -> Iterator[tuple[int, list[Item]]]:
@@ -169,12 +171,13 @@ class McapChunks:
             )
             count = 0
             while True:
-                place = stream.tell()
+                place = max(stream.tell(), len(MAGIC))
                 try:
                     record = next(records, None)
                     items = self._items(record) if isinstance(record, Chunk) else None
                 except (*BROKEN, MemoryError):
-                    self.broken = f"{self.path}: ends early, after {count} whole chunks"
+                    chunks = f"{count} whole chunk{'s' * (count != 1)}"
+                    self.broken = f"{_fault(stream, place)}, after {chunks}"
                     return
                 if record is None:
                     return
@@ -212,6 +215,16 @@ class McapChunks:
                 topic = self._topics[record.channel_id]
                 found.append(Item(topic, record.log_time, record.sequence, record.data))
         return found
+
+
+def _fault(stream: IO[bytes], place: int) -> str:
+    """Return what is wrong with the record at a position: cut by the file's end, or damaged."""
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(place)
+    head = stream.read(HEAD.size)
+    if len(head) < HEAD.size or HEAD.unpack(head)[1] > size - place - HEAD.size:
+        return "ends early"
+    return f"is damaged at byte {place} of {size}, and not read from there on"
 
 
 def _begin_of(path: Path, size: int) -> bytes:

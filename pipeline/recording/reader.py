@@ -26,7 +26,10 @@ _Place = tuple[int, int]  # position of the chunk in the file, and of the messag
 
 
 class Recording:
-    """A recording; `broken` says why it ends early, empty if it does not."""
+    """A recording; `broken` says, without its path, how it is cut or damaged; empty: it is whole.
+
+    What is behind the damage is not read.
+    """
 
     def __init__(self, path: Path) -> None:
         """Raises `RunError` for a file that is no recording of fovea."""
@@ -48,7 +51,8 @@ class Recording:
                 self._index(item, (place, index))
         self.broken = self._file.broken
         if not self.messages and not self.facts:
-            raise RunError(f"{path}: expected a recording of fovea, got none of its messages")
+            got = f"none of its messages{and_broken(self.broken)}"
+            raise RunError(f"{path}: expected a recording of fovea, got {got}")
         self._chunk = lru_cache(KEPT_CHUNKS)(self._file.at)
 
     def message(self, output: str, cls: type[Message], exposure: Exposure) -> Message | None:
@@ -109,6 +113,11 @@ class Recording:
             self.messages.setdefault(output_of(name), {})[exposure] = place, image
             self.schemas[output_of(name)] = item.topic.schema_name
             self.exposures.setdefault(exposure, item.log_ns)
+
+
+def and_broken(broken: str) -> str:
+    """Return that a file is cut or damaged as a clause behind what it lacks; empty: it is whole."""
+    return f"; it {broken}" if broken else ""
 
 
 def counts_at_end(path: Path) -> dict[str, dict[str, int]] | None:

@@ -7,11 +7,14 @@ import pytest
 
 pytest.importorskip("mcap")
 
+from drivers.datasets import recorded
 from drivers.datasets.recorded import RecordedFrames
 from pipeline.errors import DriverError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.shipped import source_path
+from pipeline.recording.mcap_file import McapChunks
+from pipeline.recording.recorder import Limits, Recorder
 from pipeline.run.inline import InlineRunner
 from pipeline.run.replay import record_inline
 from tests.sample_graphs import plan_of
@@ -57,3 +60,61 @@ def test_frames_of_less_than_full_resolution_are_refused(tmp_path: Path) -> None
 def test_a_recording_without_that_output_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DriverError, match=r"expected frames of capture\.big, got those of capture"):
         RecordedFrames(path=str(record(tmp_path, "full")), output="capture.big")
+
+
+def damaged(path: Path, at: int) -> Path:
+    """Change 50 bytes of a file."""
+    data = bytearray(path.read_bytes())
+    data[at : at + 50] = (byte ^ 0xFF for byte in data[at : at + 50])
+    path.write_bytes(data)
+    return path
+
+
+def places(path: Path) -> list[int]:
+    """Return where the chunks of a file are."""
+    return [place for place, _items in McapChunks(path).scan()]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """Return a recording of four frames with a chunk for each item, the first one a fact."""
+    plan = plan_of(tmp_path, FULL.replace("STRATEGY", "full"), clock="lockstep")
+    recorder = Recorder(tmp_path / "b.mcap", Limits(chunk_bytes=1))
+    recorder.note("graph", {})
+    with InlineRunner(plan, watch=lambda o, m: recorder.add(o, m, wait=True)) as runner:
+        list(runner.run(4))
+    recorder.close()
+    return tmp_path / "b.mcap"
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_frames_that_damage_keeps_from_a_source_are_told(
+    whole: bool, path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    count = len(places(path)) // 2
+    at = places(path)[count]
+    if not whole:
+        damaged(path, at + 60)
+
+    source = RecordedFrames(path=str(path))
+
+    assert (source.length == 4) == whole
+    assert [r.getMessage() for r in caplog.records if r.name == recorded.__name__] == [
+        f"{path}: is damaged at byte {at} of {path.stat().st_size}, and not read from there on, "
+        f"after {count} whole chunks; it has {source.length} frames"
+    ] * (not whole)
+
+
+@pytest.mark.parametrize("damage", ["cut", "changed"])
+def test_a_recording_that_is_broken_before_its_first_picture_is_refused_with_the_reason(
+    damage: str, path: Path
+) -> None:
+    at = places(path)[1]
+    if damage == "cut":
+        path.write_bytes(path.read_bytes()[: at + 50])
+    else:
+        damaged(path, at + 60)
+    why = {"cut": "it ends early, after 1 whole chunk", "changed": f"it is damaged at byte {at} of"}
+
+    with pytest.raises(DriverError, match=f"of capture.context, got no messages; {why[damage]}"):
+        RecordedFrames(path=str(path))
