@@ -140,6 +140,8 @@ def replay_command(
         raise RunError(unwritten)
     if status := asked.status or (DIFFERENT if found.different else 0):
         sys.exit(status)
+    if verify and not found.compared:
+        raise RunError(f"{file}: cannot be verified: expected a message to compare, got none")
 
 
 def _on_its_light(
@@ -186,11 +188,13 @@ def _print_replayed(name: str, found: Replayed, *, verify: bool) -> None:
     )
     if not verify:
         return
-    if found.first is None:
-        click.echo(f"verified: {found.compared} messages, equal bit for bit")
-    else:
+    if found.first is not None:
         click.echo(f"first difference: {harmless(str(found.first))}")
         click.echo(f"{found.different} of {found.compared} messages differ or are missing")
+    elif found.compared:
+        click.echo(f"verified: {found.compared} messages, equal bit for bit")
+    if found.unrecorded:
+        click.echo(f"not recorded, and so not compared: {', '.join(found.unrecorded)}")
 
 
 def _line() -> Callable[[list[EdgeState]], None]:

@@ -120,6 +120,7 @@ class Verifier:
         self._recording = recording
         self.first: Difference | None = None
         self.compared, self.different = 0, 0
+        self.unrecorded: set[str] = set()  # outputs that the replay computed and the file lacks
         self._types = {
             f"{node.name}.{output}": cls
             for node in plan.nodes
@@ -132,9 +133,22 @@ class Verifier:
             if output in recording.messages
         }
 
+    def check(self) -> None:
+        """Raise `GraphError` when no output that the replay computes was recorded."""
+        if not self._left:
+            known = ", ".join(sorted(self._recording.messages)) or "no output"
+            wanted = ", ".join(sorted(self._types))
+            raise GraphError(
+                f"{self._recording.path}: cannot be verified: "
+                + (f"expected an output that is computed ({wanted}), got {known}" if wanted
+                   else "expected a node that computes an output, got the recording for each")
+            )  # fmt: skip
+
     def watch(self, output: str, message: Message) -> None:
         """Compare a message that the replay computed."""
         if output not in self._left:
+            if output in self._types:
+                self.unrecorded.add(output)
             return
         header = message.header
         exposure = (header.stream, header.seq)

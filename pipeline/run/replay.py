@@ -32,6 +32,7 @@ class Replayed:
     compared: int = 0
     different: int = 0
     first: Difference | None = None
+    unrecorded: tuple[str, ...] = ()  # outputs that were computed and not compared
     report: Mapping[str, Any]
 
 
@@ -64,10 +65,13 @@ def replay(
     """Replay up to `frames` frames (0: all), the recording in place of the source and `nodes`.
 
     `step` is called after each frame with its number and when it was recorded (wall clock); False
-    ends the replay. Raises `RunError` when an operator fails.
+    ends the replay. Raises `RunError` when an operator fails, `GraphError` when `verify` finds no
+    recorded output of those that are computed.
     """
     played = stand_ins(plan, recording, nodes)
     verifier = Verifier(plan, recording, played)
+    if verify:
+        verifier.check()
     runner = InlineRunner(plan, watch=verifier.watch if verify else None, played=played)
     first_ns = last_ns = next(iter(recording.exposures.values()), 0)
     began_s, count, whole = time.monotonic(), 0, True
@@ -84,7 +88,7 @@ def replay(
     return Replayed(
         frames=count, duration_s=duration_s, recorded_s=(last_ns - first_ns) / NS,
         compared=verifier.compared, different=verifier.different, first=verifier.first,
-        report=report,
+        unrecorded=tuple(sorted(verifier.unrecorded)), report=report,
     )  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """A replay computes what was recorded, bit for bit, and names the first difference."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,8 @@ pytest.importorskip("mcap")
 from rerun.chunk import RrdReader
 
 from operators.visualise.beside import MOST_COLUMNS, columns
-from pipeline import GraphError, RunError
+from pipeline import GraphError, Message, RunError
+from pipeline.class_cache import adapter
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
@@ -146,6 +148,52 @@ def test_the_command_prints_the_difference_and_has_its_exit_status(tmp_path: Pat
         2, f"fovea: --out {file}: expected a new file, got one that exists\n",
     )  # fmt: skip
     assert plan.name in same.stdout
+
+
+def partly(tmp_path: Path, held: Callable[[str, int], bool]) -> Path:
+    """Return a recording of six frames of the loop with the messages that are held."""
+    plan, path = plan_of(tmp_path, LOOP, clock="lockstep"), tmp_path / "a.mcap"
+    recorder = Recorder(path)
+
+    def watch(output: str, message: Message) -> None:
+        if held(output, message.header.seq):
+            recorder.add(output, message, wait=True)
+
+    recorder.note("graph", {"plan": adapter(Plan).dump_python(plan, mode="json")})
+    with InlineRunner(plan, watch=watch) as runner:
+        list(runner.run(6))
+    recorder.close()
+    return path
+
+
+def test_computed_outputs_that_were_not_recorded_are_told(tmp_path: Path) -> None:
+    path = partly(tmp_path, lambda output, _seq: output not in ("work.out", "steer.out"))
+
+    found = command("replay", str(path), "--verify")
+
+    assert (found.returncode, found.stdout.splitlines()[1:]) == (0, [
+        "verified: 6 messages, equal bit for bit",
+        "not recorded, and so not compared: steer.out, work.out",
+    ])  # fmt: skip
+
+
+def test_a_recording_of_the_source_alone_is_not_verified(tmp_path: Path) -> None:
+    path = partly(tmp_path, lambda output, _seq: output.startswith("ticker."))
+
+    found = command("replay", str(path), "--verify")
+
+    assert (found.returncode, found.stdout, found.stderr) == (2, "", (
+        f"fovea: {path}: cannot be verified: expected an output that is computed (pair.out, "
+        "steer.out, work.out), got ticker.context, ticker.roi\n"
+    ))  # fmt: skip
+    assert command("replay", str(path)).returncode == 0
+
+
+def test_a_replay_that_computes_nothing_is_not_verified(tmp_path: Path) -> None:
+    recording = Recording(partly(tmp_path, lambda _output, _seq: True))
+
+    with pytest.raises(GraphError, match="expected a node that computes an output, got the rec"):
+        replay(plan_in(recording), recording, nodes=("work", "pair", "steer"), verify=True)
 
 
 def test_runs_on_the_same_light_are_compared_in_a_table(tmp_path: Path) -> None:
