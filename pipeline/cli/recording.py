@@ -193,6 +193,9 @@ def _print_replayed(name: str, found: Replayed, *, verify: bool) -> None:
         click.echo(f"{found.different} of {found.compared} messages differ or are missing")
     elif found.compared:
         click.echo(f"verified: {found.compared} messages, equal bit for bit")
+    if found.outside:
+        told = "the file begins or ends in the middle of their exposures"
+        click.echo(f"left out: {found.outside} messages; {told}")
     if found.unrecorded:
         click.echo(f"not recorded, and so not compared: {', '.join(found.unrecorded)}")
 

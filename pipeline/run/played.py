@@ -1,6 +1,6 @@
 """A recording in place of nodes of a graph, and recomputed outputs compared with recorded ones."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
@@ -13,6 +13,8 @@ from pipeline.graph.plan import Plan, is_source, load_operator, sources
 from pipeline.messages import Header, Message
 from pipeline.recording.reader import Exposure, Recording
 from pipeline.settings import suggest
+
+Place = tuple[int, int]  # of an exposure: the number of its stream, and its own in it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,17 +65,22 @@ class Played(Executor):
 
 
 def exposures(recording: Recording, node: str, outputs: Iterable[str]) -> list[Exposure]:
-    """Return the exposures of which an output of a node was recorded, in order.
-
-    Streams are in the order of the file; within one, frames are in their own order.
-    """
+    """Return the exposures of which an output of a node was recorded, in order."""
     found: set[Exposure] = set()
     for output in outputs:
         found |= recording.messages.get(f"{node}.{output}", {}).keys()
+    return sorted(found, key=in_order(recording))
+
+
+def in_order(recording: Recording) -> Callable[[Exposure], Place]:
+    """Return what finds the place of an exposure in the order of all.
+
+    Streams are in the order of the file; within one, frames are in their own order.
+    """
     streams: dict[str, int] = {}
     for stream, _seq in recording.exposures:
         streams.setdefault(stream, len(streams))
-    return sorted(found, key=lambda one: (streams[one[0]], one[1]))
+    return lambda one: (streams[one[0]], one[1])
 
 
 def stand_ins(plan: Plan, recording: Recording, nodes: Iterable[str] = ()) -> dict[str, Played]:
@@ -114,17 +121,23 @@ class Difference:
 
 
 class Verifier:
-    """Compares what a replay computes with what was recorded; pass `watch` to the runner."""
+    """Compares what a replay computes with what was recorded; pass `watch` to the runner.
 
-    def __init__(self, plan: Plan, recording: Recording, replaced: Iterable[str]) -> None:
-        self._recording = recording
+    A recorder that joins or leaves a running graph does so between the outputs of an exposure.
+    What is before the first or behind the last exposure of which both an output and the outputs
+    that are played were recorded is therefore left out, and counted in `outside`.
+    """
+
+    def __init__(self, plan: Plan, recording: Recording, replaced: Collection[str]) -> None:
+        self._recording, self._place = recording, in_order(recording)
         self.first: Difference | None = None
         self.compared, self.different = 0, 0
+        self.outside = 0  # messages that were recorded or computed
         self.unrecorded: set[str] = set()  # outputs that the replay computed and the file lacks
         self._types = {
             f"{node.name}.{output}": cls
             for node in plan.nodes
-            if node.name not in set(replaced)
+            if node.name not in replaced
             for output, cls in outputs_of(load_operator(node.operator)).items()
         }
         self._left = {
@@ -132,6 +145,11 @@ class Verifier:
             for output in self._types
             if output in recording.messages
         }
+        whole = recording.newest("report")  # it ends a run that was recorded from its first frame
+        played = [] if whole else _spans(plan, recording, replaced)
+        self._spans = {} if whole else {
+            output: [*played, _span(recording, recording.messages[output])] for output in self._left
+        }  # fmt: skip
 
     def check(self) -> None:
         """Raise `GraphError` when no output that the replay computes was recorded."""
@@ -153,6 +171,9 @@ class Verifier:
         header = message.header
         exposure = (header.stream, header.seq)
         self._left[output].discard(exposure)
+        if not self._is_within(output, exposure):
+            self.outside += 1
+            return
         self.compared += 1
         recorded = self._recording.message(output, self._types[output], exposure)
         self._judge(output, header, recorded, message)
@@ -160,8 +181,14 @@ class Verifier:
     def finish(self) -> None:
         """Count what was recorded and, in a whole replay, not computed again."""
         for output, left in self._left.items():
-            for _stream, seq in sorted(left, key=lambda one: one[1]):
+            within = [one for one in left if self._is_within(output, one)]
+            self.outside += len(left) - len(within)
+            for _stream, seq in sorted(within, key=lambda one: one[1]):
                 self._add(Difference(output, seq, "message", "recorded, and not computed again"))
+
+    def _is_within(self, output: str, exposure: Exposure) -> bool:
+        place = self._place(exposure)
+        return all(first <= place <= last for first, last in self._spans.get(output, ()))
 
     def _judge(
         self, output: str, header: Header, recorded: Message | None, computed: Message
@@ -177,6 +204,27 @@ class Verifier:
     def _add(self, found: Difference) -> None:
         self.first = self.first or found
         self.different += 1
+
+
+def _spans(
+    plan: Plan, recording: Recording, nodes: Iterable[str]
+) -> list[tuple[Place, Place]]:  # fmt: skip
+    """Return between which places the outputs of these nodes were recorded.
+
+    An output that has few messages, as of events, says nothing about where the recording began.
+    """
+    found = []
+    for node in nodes:
+        names = [f"{node}.{one}" for one in outputs_of(load_operator(plan.node(node).operator))]
+        seen = [recording.messages[name] for name in names if name in recording.messages]
+        most = max(map(len, seen), default=0)
+        found += [_span(recording, one) for one in seen if len(one) >= most / 2]
+    return found
+
+
+def _span(recording: Recording, seen: Iterable[Exposure]) -> tuple[Place, Place]:
+    places = [*map(in_order(recording), seen)]
+    return min(places), max(places)
 
 
 def differing(recorded: Any, computed: Any, where: str = "") -> Iterator[tuple[str, str]]:

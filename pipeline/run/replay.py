@@ -32,6 +32,7 @@ class Replayed:
     compared: int = 0
     different: int = 0
     first: Difference | None = None
+    outside: int = 0  # messages of exposures at the ends, which were not recorded as a whole
     unrecorded: tuple[str, ...] = ()  # outputs that were computed and not compared
     report: Mapping[str, Any]
 
@@ -88,7 +89,7 @@ def replay(
     return Replayed(
         frames=count, duration_s=duration_s, recorded_s=(last_ns - first_ns) / NS,
         compared=verifier.compared, different=verifier.different, first=verifier.first,
-        unrecorded=tuple(sorted(verifier.unrecorded)), report=report,
+        outside=verifier.outside, unrecorded=tuple(sorted(verifier.unrecorded)), report=report,
     )  # fmt: skip
 
 

@@ -196,6 +196,59 @@ def test_a_replay_that_computes_nothing_is_not_verified(tmp_path: Path) -> None:
         replay(plan_in(recording), recording, nodes=("work", "pair", "steer"), verify=True)
 
 
+FIRST_LACKING = {"ticker": "work.out", "pair": "pair.out"}
+
+
+def ragged(output: str, seq: int) -> bool:
+    """Whether a recorder has a message that joined and left between the outputs of an exposure."""
+    first, last = {"ticker.context": (1, 5), "ticker.roi": (1, 4)}.get(output, (0, 5))
+    return first <= seq <= last
+
+
+def test_exposures_at_the_ends_that_were_recorded_in_part_are_left_out(tmp_path: Path) -> None:
+    path = partly(tmp_path, ragged)
+
+    found = command("replay", str(path), "--verify")
+
+    assert (found.returncode, found.stdout.splitlines()[1:]) == (0, [
+        "verified: 12 messages, equal bit for bit",
+        "left out: 6 messages; the file begins or ends in the middle of their exposures",
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("lacking", "what"),
+    [("ticker", "recorded, and not computed again"), ("pair", "computed, and not recorded")],
+)
+def test_a_gap_between_the_ends_is_a_difference(lacking: str, what: str, tmp_path: Path) -> None:
+    path = partly(tmp_path, lambda output, seq: not (seq == 2 and output.startswith(lacking)))
+    recording = Recording(path)
+
+    found = replay(plan_in(recording), recording, verify=True)
+
+    assert str(found.first) == f"{FIRST_LACKING[lacking]}: frame 2: message: {what}"
+    assert found.outside == 0
+
+
+def test_a_run_that_was_recorded_as_a_whole_is_compared_to_its_ends(tmp_path: Path) -> None:
+    recording = recording_of(plan_of(tmp_path, LOOP, clock="lockstep"), tmp_path, 6)
+    recording.messages["pair.out"].popitem()
+
+    found = replay(plan_in(recording), recording, verify=True)
+
+    assert str(found.first) == "pair.out: frame 5: message: computed, and not recorded"
+    assert (found.different, found.outside) == (1, 0)
+
+
+def test_a_recording_whose_outputs_share_no_exposure_is_not_verified(tmp_path: Path) -> None:
+    path = partly(tmp_path, lambda output, seq: (seq < 3) == output.startswith("ticker."))
+
+    found = command("replay", str(path), "--verify")
+
+    said = f"fovea: {path}: cannot be verified: expected a message to compare, got none\n"
+    assert (found.returncode, found.stderr) == (1, said)
+
+
 def test_runs_on_the_same_light_are_compared_in_a_table(tmp_path: Path) -> None:
     full = "size_px: [640, 360], rate_hz: 30, seed: 1, strategy: full"
     text = TRACKING.replace("size_px: [640, 360], rate_hz: 30, seed: SEED", full) + VIEWER
