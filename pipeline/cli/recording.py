@@ -79,6 +79,8 @@ def record_command(
             found = recorder.follow(client, path, duration_s or 0.0, asked.asked, _line(), before)
     _print_counts(found)
     _print_files([Path(file) for file in found.files])
+    if found.removed:
+        click.echo(f"{graph}: the recording ended: its recorder was removed from the graph")
     if found.failure:
         raise RunError(f"{graph}: goes on; the recording ended: {found.failure}")
 
@@ -214,14 +216,16 @@ def _line() -> Callable[[list[EdgeState]], None]:
 
 def _print_counts(found: recorder.Outcome) -> None:
     """Print by output how many messages the files have, and what was lost on the way there."""
-    for edge in found.accounts:
-        output = edge.origin if "." in edge.origin else f"{edge.origin}.out"
-        counts = found.outputs.get(output, {"recorded": edge.account["delivered"]})
-        lost = {name: n for name, n in edge.account["dropped"].items() if n} | {
-            words: counts[name] for name, words in LOST.items() if counts.get(name)
+    edges = {e.origin if "." in e.origin else f"{e.origin}.out": e.account for e in found.accounts}
+    for name in dict.fromkeys([*edges, *found.outputs]):
+        account = edges.get(name, {"delivered": 0, "dropped": {}})  # it was removed before a look
+        counts = found.outputs.get(name, {"recorded": account["delivered"]})
+        lost = {cause: n for cause, n in account["dropped"].items() if n} | {
+            words: counts[count] for count, words in LOST.items() if counts.get(count)
         }
-        told = ", ".join(f"{n} {name}" for name, n in lost.items())
-        click.echo(f"{edge.origin}: {counts['recorded']} messages" + (f"; {told}" if told else ""))
+        told = ", ".join(f"{n} {cause}" for cause, n in lost.items())
+        told = f"{counts['recorded']} messages" + (f"; {told}" if told else "")
+        click.echo(f"{name.removesuffix('.out')}: {told}")
 
 
 def _print_files(files: list[Path]) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import psutil
 
 from pipeline import codec
 from pipeline.class_cache import adapter
@@ -26,7 +27,7 @@ from pipeline.graph.loader import Sent
 from pipeline.graph.plan import Plan, load_operator
 from pipeline.protocol.fleet import EdgeState
 from pipeline.recording.reader import counts_at_end
-from pipeline.recording.recorder import total
+from pipeline.recording.recorder import CLOSE_S, total
 from pipeline.settings import suggest
 from pipeline.text import harmless
 
@@ -34,6 +35,7 @@ OPERATOR = "operators.record:Record"
 NODE = "record"
 DEPTH = 30  # messages of a lossless output that may wait for the recorder
 LOOK_S = 0.2
+END_S = CLOSE_S + 5.0  # for a recorder to end its file and its process
 ASK_LOOKS = 25  # so many looks between two questions to the recorder
 
 
@@ -120,24 +122,28 @@ class Outcome(msgspec.Struct):
     files: list[str] = []
     outputs: dict[str, dict[str, int]] = {}  # what the recorder counted, by node.output
     failure: str = ""  # why it could not be written to its end
+    removed: bool = False  # whether another command removed the recorder
 
 
 def follow(
     client: LocalGraph, path: Path, duration_s: float, asked: Callable[[], int],
     show: Callable[[list[EdgeState]], None], before: Sequence[str] = (),
 ) -> Outcome:  # fmt: skip
-    """Wait for the duration (0: none), a signal, a failure or the end of the graph.
+    """Wait for the duration (0: none), a signal, a failure or the end of the graph or recorder.
 
     Then the recorder is removed; the graph continues. `path`: as `begin` was given it; `before`:
     files beside it of other recordings.
     """
     began_s, found, looks = time.monotonic(), Outcome(files=[str(path.absolute())]), 0
+    process = _look(client, found)
     while not asked() and not (duration_s and time.monotonic() - began_s >= duration_s):
         time.sleep(LOOK_S)
         looks += 1
-        with suppress(RunError):
-            found.accounts = accounts_of(client)
+        process = _look(client, found) or process
         if not client.runs():
+            break
+        if NODE not in client.nodes():
+            found.removed = True
             break
         show(found.accounts)
         if looks % ASK_LOOKS == 0 and _told(client, found).failure:
@@ -145,6 +151,8 @@ def follow(
     if client.runs():
         _told(client, found)
         _remove(client)
+    if process is not None:
+        _await_end(process)
     return _ended(found, [file for file in parts(path) if file not in before])
 
 
@@ -191,6 +199,27 @@ def _remove(client: LocalGraph) -> None:
     except FoveaError:
         if client.runs():
             raise
+
+
+def _look(client: LocalGraph, found: Outcome) -> psutil.Process | None:
+    """Take the recorder's accounts; return its process, None where it has none now."""
+    with suppress(RunError, psutil.Error):
+        found.accounts = accounts_of(client) or found.accounts  # none: it was removed
+        facts = client.facts
+        for node in facts["nodes"]:
+            if node["name"] == NODE and (pid := facts["pids"].get(node["process"])):
+                return psutil.Process(pid)
+    return None
+
+
+def _await_end(process: psutil.Process) -> None:
+    """Wait for the recorder to write its end: it leaves the record of the graph before that."""
+    late_s = time.monotonic() + END_S
+    with suppress(psutil.Error):  # it has ended
+        while process.is_running() and process.status() != psutil.STATUS_ZOMBIE:
+            if time.monotonic() > late_s:
+                return
+            time.sleep(LOOK_S)
 
 
 def _told(client: LocalGraph, found: Outcome) -> Outcome:

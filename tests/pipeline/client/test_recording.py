@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NoReturn
 
 import pytest
@@ -11,7 +12,7 @@ from click.testing import CliRunner
 pytest.importorskip("mcap")
 
 from pipeline import RunError, SettingsError
-from pipeline.cli.recording import record_command
+from pipeline.cli.recording import _print_counts, record_command
 from pipeline.client import recording
 from pipeline.client.find import find
 from pipeline.client.local import LocalGraph
@@ -74,6 +75,53 @@ def test_a_file_without_its_end_is_told_as_a_failure(tmp_path: Path) -> None:
     assert followed(path).failure == f"{path}: not written to its end; its whole chunks can be read"
 
 
+ENDING = """
+import sys
+from pathlib import Path
+from pipeline.recording.recorder import Recorder
+recorder = Recorder(Path(sys.argv[1]))
+print("records", flush=True)
+sys.stdin.readline()
+recorder.close()
+"""
+
+
+class Removing(Ended):
+    """A client of a graph from which another command removes the recorder, which then ends."""
+
+    def __init__(self, recorder: "subprocess.Popen[str]") -> None:
+        self.recorder = recorder
+        self.facts = {"nodes": [{"name": "record", "process": "record"}],
+                      "pids": {"record": recorder.pid}}  # fmt: skip
+
+    def runs(self) -> bool:
+        return True
+
+    def status(self) -> Any:
+        return SimpleNamespace(hosts={})
+
+    def nodes(self) -> tuple[str, ...]:
+        assert self.recorder.stdin is not None
+        self.recorder.stdin.close()
+        return ()
+
+
+def test_a_recorder_that_was_removed_writes_its_end_before_its_files_are_told(
+    tmp_path: Path,
+) -> None:
+    words = [sys.executable, "-c", ENDING, str(tmp_path / "a.mcap")]
+    with subprocess.Popen(
+        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as recorder:
+        assert recorder.stdout is not None
+        recorder.stdout.readline()
+        client: Any = Removing(recorder)
+
+        found = recording.follow(client, tmp_path / "a.mcap", 0, lambda: 0, lambda _accounts: None)
+
+    assert (found.removed, found.failure) == (True, "")
+
+
 def client_of(name: str) -> LocalGraph:
     client = find(name)
     assert isinstance(client, LocalGraph)
@@ -98,6 +146,43 @@ def test_the_counts_that_are_told_are_those_of_the_files(tmp_path: Path) -> None
     (found,) = told
     assert found.outputs["ticker.roi"]["recorded"] == messages(found.files, "ticker.roi") > 5
     assert len(found.files) > 1
+
+
+def test_a_recorder_that_another_command_removes_is_told_with_its_counts(tmp_path: Path) -> None:
+    plan, path, told = plan_of(tmp_path, TOGETHER), tmp_path / "a.mcap", list[recording.Outcome]()
+
+    def record() -> recording.Outcome:
+        client, looks = client_of(plan.name), list[int]()
+        recording.begin(client, path, recording.chosen(client, ()), {})
+
+        def asked() -> int:
+            looks.append(len(looks))
+            if len(looks) == 3:
+                client_of(plan.name).remove("record")
+            return 0
+
+        return recording.follow(client, path, 0, asked, lambda _accounts: None)
+
+    def look(supervisor: Supervisor) -> None:
+        told.append(beside(supervisor, record))
+        supervisor.finish()
+
+    go(plan, 0, look)
+
+    (found,) = told
+    assert (found.removed, found.failure) == (True, "")
+    assert [edge.origin for edge in found.accounts] == ["ticker.roi"]
+    assert found.outputs["ticker.roi"]["recorded"] == messages(found.files, "ticker.roi")
+
+
+def test_counts_of_a_recorder_that_was_removed_are_printed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    counts = {"recorded": 3, "dropped": 0, "passed": 2, "gaps": 0, "refused": 0}
+
+    _print_counts(recording.Outcome(outputs={"work.out": counts}, removed=True))
+
+    assert capsys.readouterr().out == "work: 3 messages; 2 passed through the ring\n"
 
 
 def test_a_second_recorder_is_told_of_the_first_and_a_failure_leaves_none(tmp_path: Path) -> None:
