@@ -82,7 +82,7 @@ def record_command(
     if found.removed:
         click.echo(f"{graph}: the recording ended: its recorder was removed from the graph")
     if found.failure:
-        raise RunError(f"{graph}: goes on; the recording ended: {found.failure}")
+        raise RunError(_incomplete(client, found.failure))
 
 
 @click.command("replay")
@@ -212,6 +212,12 @@ def _line() -> Callable[[list[EdgeState]], None]:
             console.print(f"{done} messages", end="\r", markup=False)
 
     return show
+
+
+def _incomplete(client: LocalGraph, failure: str) -> str:
+    """Return what became of the graph, which may have been killed, and of its recording."""
+    graph = "goes on" if client.runs() else "has ended"
+    return f"{client.name}: {graph}; the recording is incomplete: {failure}"
 
 
 def _print_counts(found: recorder.Outcome) -> None:

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 pytest.importorskip("mcap")
 
 from pipeline import RunError, SettingsError
-from pipeline.cli.recording import _print_counts, record_command
+from pipeline.cli.recording import _incomplete, _print_counts, record_command
 from pipeline.client import recording
 from pipeline.client.find import find
 from pipeline.client.local import LocalGraph
@@ -86,16 +86,20 @@ recorder.close()
 """
 
 
-class Removing(Ended):
+class Running(Ended):
+    """A client of a graph that runs."""
+
+    def runs(self) -> bool:
+        return True
+
+
+class Removing(Running):
     """A client of a graph from which another command removes the recorder, which then ends."""
 
     def __init__(self, recorder: "subprocess.Popen[str]") -> None:
         self.recorder = recorder
         self.facts = {"nodes": [{"name": "record", "process": "record"}],
                       "pids": {"record": recorder.pid}}  # fmt: skip
-
-    def runs(self) -> bool:
-        return True
 
     def status(self) -> Any:
         return SimpleNamespace(hosts={})
@@ -120,6 +124,17 @@ def test_a_recorder_that_was_removed_writes_its_end_before_its_files_are_told(
         found = recording.follow(client, tmp_path / "a.mcap", 0, lambda: 0, lambda _accounts: None)
 
     assert (found.removed, found.failure) == (True, "")
+
+
+@pytest.mark.parametrize(("cls", "what"), [(Running, "goes on"), (Ended, "has ended")])
+def test_an_incomplete_recording_is_told_with_what_became_of_the_graph(
+    cls: type[Ended], what: str
+) -> None:
+    client: Any = cls()
+
+    said = _incomplete(client, "a.mcap: No space left on device")
+
+    assert said == f"over: {what}; the recording is incomplete: a.mcap: No space left on device"
 
 
 def client_of(name: str) -> LocalGraph:
