@@ -26,8 +26,8 @@ from pipeline.errors import FoveaError, RunError
 from pipeline.graph.loader import Sent
 from pipeline.graph.plan import Plan, load_operator
 from pipeline.protocol.fleet import EdgeState
-from pipeline.recording.reader import counts_at_end
-from pipeline.recording.recorder import CLOSE_S, total
+from pipeline.recording.recorder import CLOSE_S
+from pipeline.recording.written import counted
 from pipeline.settings import suggest
 from pipeline.text import harmless
 
@@ -168,14 +168,12 @@ def parts(path: Path) -> list[str]:
 
 
 def _ended(found: Outcome, files: list[str]) -> Outcome:
-    """Add what was written after the recorder was asked last: further files, the last counts."""
-    found.files = files or found.files
-    if files and not found.failure:
-        outputs = counts_at_end(Path(files[-1]))
-        if outputs is None:
-            found.failure = f"{files[-1]}: not written to its end; its whole chunks can be read"
-        else:  # of a ring the file can be older than the answer
-            found.outputs = max(outputs, found.outputs, key=lambda one: sum(total(one).values()))
+    """Add what was written after the recorder was asked last, and by those that were restarted."""
+    held = counted(files, found.files if found.outputs else (), found.outputs)
+    if found.failure:  # it says more about the last file
+        held.faults.pop(files[-1] if files else "", None)
+    found.files, found.outputs = files or found.files, held.outputs
+    found.failure = "; ".join([*held.faults.values(), *filter(None, [found.failure])])
     return found
 
 

@@ -9,10 +9,11 @@ import stat
 import struct
 import time
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -56,6 +57,14 @@ class Item:
     log_ns: int  # wall clock, when the recorder received it
     sequence: int
     data: bytes
+
+
+class Contents(NamedTuple):
+    """What a file holds."""
+
+    counts: Counter[tuple[str, str]]  # messages by name of the channel and encoding
+    first_ns: int  # wall clock of the first and the last of them
+    last_ns: int
 
 
 class McapWriter:
@@ -251,6 +260,23 @@ def last(path: Path, topic: str) -> bytes:
     except (*BROKEN, OSError, MemoryError):
         return b""
     return found[2].data if found else b""
+
+
+def contents(path: Path) -> Contents | None:
+    """Return what a file holds by its index; None for a file without one."""
+    try:
+        with path.open("rb") as stream:
+            found = SeekingReader(stream, record_size_limit=MOST_RECORD_BYTES).get_summary()
+            if found is None or found.statistics is None:
+                return None
+            counts = Counter[tuple[str, str]]()
+            for number, count in found.statistics.channel_message_counts.items():
+                channel = found.channels[number]
+                counts[channel.topic, channel.message_encoding] += count
+            times_ns = found.statistics.message_start_time, found.statistics.message_end_time
+    except (*BROKEN, OSError, MemoryError):
+        return None
+    return Contents(counts, *times_ns)
 
 
 def plain(chunk: Chunk) -> Chunk:

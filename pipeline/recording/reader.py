@@ -120,10 +120,19 @@ def and_broken(broken: str) -> str:
     return f"; it {broken}" if broken else ""
 
 
-def counts_at_end(path: Path) -> dict[str, dict[str, int]] | None:
-    """Return what the recorder had counted by output when it ended a file; None: it did not."""
-    end = _json(last(path, f"{FACTS}end"))
-    return end.get("accounts") if isinstance(end, dict) else None
+class End(msgspec.Struct, frozen=True):
+    """What the recorder wrote at the end of a file."""
+
+    accounts: dict[str, dict[str, int]]  # counts by output since the recorder was begun
+    file: int = 0  # its number among those of this recorder, from 1
+
+
+def end_of(path: Path) -> End | None:
+    """Return what the recorder wrote at the end of a file; None: it did not."""
+    try:
+        return msgspec.json.decode(last(path, f"{FACTS}end"), type=End)
+    except UNREADABLE:
+        return None
 
 
 def _json(data: bytes) -> Any:

@@ -333,7 +333,8 @@ class Recorder:
         raise RunError(f"{self._path}: expected fewer than {MOST_PARTS} files beside it")
 
     def _end(self, writer: McapWriter) -> None:
-        writer.add(fact("end", {"accounts": self.figures()}, time.time_ns()))
+        end = {"accounts": self.figures(), "file": len(self.files)}
+        writer.add(fact("end", end, time.time_ns()))
         writer.close()
 
 

@@ -16,7 +16,7 @@ from pipeline.cli.recording import _incomplete, _print_counts, record_command
 from pipeline.client import recording
 from pipeline.client.find import find
 from pipeline.client.local import LocalGraph
-from pipeline.recording.reader import Recording
+from pipeline.recording.reader import Recording, end_of
 from pipeline.recording.recorder import Limits, Recorder
 from pipeline.run.supervisor import Supervisor
 from tests.pipeline.recording.test_recorder import frame
@@ -73,6 +73,24 @@ def test_a_file_without_its_end_is_told_as_a_failure(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-100])
 
     assert followed(path).failure == f"{path}: not written to its end; its whole chunks can be read"
+
+
+def test_a_recorder_that_was_restarted_is_told_as_a_failure_with_all_its_messages(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.mcap"
+    for seq in range(2):
+        recorder = Recorder(path, Limits(chunk_bytes=1))
+        recorder.add("capture.context", frame(seq), wait=True)
+        recorder.close()
+    path.write_bytes(path.read_bytes()[:-100])
+
+    found = followed(path)
+
+    assert found.failure.startswith(f"{path}: not written to its end; ")
+    assert "then the recorder was restarted" in found.failure
+    assert found.outputs["capture.context"]["recorded"] == messages(found.files, "capture.context")
+    assert messages(found.files, "capture.context") == 2
 
 
 ENDING = """
@@ -257,4 +275,4 @@ def test_a_recorder_leaves_the_graph_when_its_command_was_killed(tmp_path: Path)
     report = go(plan, 0, look)
 
     assert not report["failure"]
-    assert recording.counts_at_end(path) is not None  # it was ended as any other
+    assert end_of(path) is not None  # it was ended as any other

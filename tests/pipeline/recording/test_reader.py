@@ -13,7 +13,7 @@ pytest.importorskip("mcap")
 from pipeline.errors import MessageError, RunError
 from pipeline.messages import Tracks
 from pipeline.recording.mcap_file import McapWriter
-from pipeline.recording.reader import Recording, counts_at_end
+from pipeline.recording.reader import Recording, end_of
 from pipeline.recording.recorder import Limits, Recorder
 from pipeline.recording.records import fact
 from pipeline.version import described
@@ -47,9 +47,10 @@ def test_each_file_ends_with_the_counts_of_what_it_and_those_before_it_hold(tmp_
     recorder.close()
 
     held = [len(Recording(file).messages["capture.context"]) for file in recorder.files]
-    ends = [counts_at_end(file) for file in recorder.files]
-    counted = [end["capture.context"]["recorded"] for end in ends if end]
+    ends = [end_of(file) for file in recorder.files]
+    counted = [end.accounts["capture.context"]["recorded"] for end in ends if end]
     assert len(held) > 3
+    assert [end.file for end in ends if end] == list(range(1, len(held) + 1))
     assert counted == list(accumulate(held))
 
 
