@@ -33,6 +33,7 @@ from bench.tracking.camera import Camera
 from bench.tracking.clip import PROCEDURAL, Clip, ClipName, read
 from bench.tracking.identities import ROI_STAGES, Played, everybody
 from bench.tracking.many import identity_of, scored
+from bench.tracking.metrics import need_trackeval
 from bench.tracking.replaced import Replaced
 from bench.tracking.sight import PERCEPTION, watched
 from bench.tracking.stages import Stages
@@ -40,7 +41,6 @@ from operators.identity import Identity, IdentitySettings
 from operators.identity.people import People
 from operators.policy.greedy import NEW_AGE, GreedyPolicySettings, worth
 from pipeline.errors import SettingsError
-from pipeline.extras import need
 from pipeline.messages import RoiFeatures, Tracks, altered
 from pipeline.whole_file import write_whole
 
@@ -212,7 +212,7 @@ def correlation_of(rows: Sequence[Mapping[str, Any]]) -> float | None:
 def main(clips: int, frames: int, seed: int, shares: str, path: Path | None) -> None:
     """Measure what looks gain the identities."""
     tried = shares_of(shares)
-    need("trackeval", "python -m bench.identity_gain")
+    need_trackeval("python -m bench.identity_gain")
     found = []
     for number in track(range(seed, seed + clips), "clips", console=Console(stderr=True)):
         looks = looks_of(number, frames)

@@ -12,6 +12,7 @@ from pipeline.errors import FoveaError
 from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 
 ROOT = Path(__file__).resolve().parents[1]
+MOST_CLIPS = 1000  # of an evaluation: days of work, and hundreds of bytes of memory each
 
 
 def writable(_: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
@@ -35,7 +36,8 @@ def _unwritable(path: Path) -> str:
     except OSError as error:
         return f"{path.parent}: cannot be a folder: {error.strerror}"
     place = path if path.exists() else path.parent
-    return f"{path}: cannot be written" if path.is_dir() or not os.access(place, os.W_OK) else ""
+    special = path.exists() and not path.is_file()  # a file is replaced by a whole one
+    return f"{path}: cannot be written" if special or not os.access(place, os.W_OK) else ""
 
 
 JSON = click.option(

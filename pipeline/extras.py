@@ -1,9 +1,6 @@
 """Optional packages: which extra installs each of them, and modules imported on first use."""
 
-from contextlib import redirect_stdout
 from importlib import import_module
-from io import StringIO
-from types import ModuleType
 from typing import Any
 
 from pipeline.errors import InstallError
@@ -62,7 +59,7 @@ def remedy(error: ModuleNotFoundError) -> str:
 def need(package: str, where: str) -> None:
     """Raise `InstallError` beginning with `where` unless a package is installed."""
     try:
-        _imported(package)
+        import_module(package)
     except ModuleNotFoundError as error:
         raise InstallError(f"{where}: {remedy(error) or error}") from error
 
@@ -79,10 +76,4 @@ class LateModule:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        return getattr(_imported(self._name), name)
-
-
-def _imported(name: str) -> ModuleType:
-    """Import a module; what it prints meanwhile, as trackeval does, would be in a table."""
-    with redirect_stdout(StringIO()):
-        return import_module(name)
+        return getattr(import_module(self._name), name)

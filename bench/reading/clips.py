@@ -6,12 +6,13 @@ of which a camera pans.
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
 from drivers.datasets.images import SUFFIXES
-from drivers.datasets.texts.labels import labels_file, read_textocr
+from drivers.datasets.texts.labels import labels_beside, labels_file, read_textocr
 from pipeline.errors import DriverError, SettingsError
 from pipeline.fleet.placement import file_digest
 
@@ -28,19 +29,16 @@ class Clip:
     alike: tuple[str, ...]  # those of one clip for all of the data, which name the kept results
     files: tuple[Path, ...] = ()  # picture or video, and labels
 
-    def content(self) -> str:
+    def content(self, digest_of: Callable[[Path], str] = file_digest) -> str:
         """Return what tells the clip from one with other pictures, labels or changes.
 
-        Their folder does not count. Raises `DriverError` for a file that cannot be read.
+        Raises `DriverError` for a file that cannot be read.
         """
-        text = json.dumps([self.name, self.changes])
-        for file in sorted(self.files, key=lambda file: len(str(file)), reverse=True):
-            text = text.replace(str(file), file.name)
         try:
-            known = "".join(file_digest(file) for file in self.files)
+            known = [digest_of(file) for file in self.files]
         except OSError as error:
             raise DriverError(f"{error.filename}: cannot be read: {error.strerror}") from error
-        return sha256((text + known).encode()).hexdigest()
+        return sha256(json.dumps([self.name, self.changes, known]).encode()).hexdigest()
 
 
 def clips_of(
@@ -102,13 +100,11 @@ def _photographs(files: list[Path], frames: int, labels: str) -> dict[str, Clip]
     found = {}
     for number, file in shown:
         options: dict[str, object] = {"frames_each": frames, "seed": number}
-        beside = Path(labels) if labels and known.get(file.name) else None
-        if labels:
-            options["labels"] = labels
-        else:
-            beside = labels_file(file)
-        if beside:
-            found[file.name] = _recorded([file, beside], "PannedPictures", options)
+        if known.get(file.name) if labels else labels_beside(file):
+            options |= {"labels": labels} if labels else {}
+            beside = Path(labels) if labels else labels_file(file)
+            read = [file, *([beside] if beside else [])]
+            found[file.name] = _recorded(read, "PannedPictures", options)
     return found
 
 

@@ -34,7 +34,7 @@ from rich.console import Console
 from rich.text import Text
 
 from bench.machine import facts
-from bench.options import graph_option
+from bench.options import MOST_CLIPS, graph_option
 from bench.outputs import STANDARD_OUTPUT
 from bench.tracking.budgets import acquisition
 from bench.tracking.cases import CUES, PROTOCOLS, SEES, Case, Protocol, cases
@@ -51,6 +51,7 @@ from bench.tracking.many_tables import (
     paired_of_many,
     table_of_many,
 )
+from bench.tracking.metrics import need_trackeval
 from bench.tracking.options import ALL, GRAPH, WHOLE, Options, options_of, refuse_too_late
 from bench.tracking.plots import plot
 from bench.tracking.replaced import PARTS
@@ -79,7 +80,7 @@ FOLLOWED = "starts every few frames (short), one to the end of the clip (long), 
 )
 @click.option("--data", required=True, help="a SoccerNet sequence, a folder of them, procedural")
 @click.option("--frames", default="", help="A-B, counted from 1; of a scene 1-96")
-@click.option("--clips", default=30, help="procedural clips")
+@click.option("--clips", default=30, help=f"procedural clips, up to {MOST_CLIPS}")
 @click.option("--strategies", default="all", help="all, or some of " + ",".join(ALL))
 @click.option("--budgets", "--budget", default="1/4,1/8,1/16", help="shares of the full pixel rate")
 @click.option("--targets", default="ball,referee,player")
@@ -120,7 +121,7 @@ def evaluate(options: Options) -> None:
     if options.plot:
         need("matplotlib", "--plot")
     if options.many:
-        need("trackeval", "--many")
+        need_trackeval("--many")
         score_many(options)
         return
     wanted, protocol, clips = asked(options)

@@ -33,6 +33,7 @@ from bench.tracking.identities import (
     Played,
     identified,
 )
+from bench.tracking.metrics import metrics
 from bench.tracking.options import Options, refuse_too_late
 from bench.tracking.replaced import Replaced
 from bench.tracking.sight import PERCEPTION, watched
@@ -42,7 +43,6 @@ from operators.identity import IdentitySettings
 from pipeline import settings as checked
 from pipeline.boxes import iou
 from pipeline.errors import SettingsError
-from pipeline.extras import LateModule
 from pipeline.messages import Tracks
 
 PICTURES = ("full", "spatial", CONTEXT)  # with pictures of their own in every frame
@@ -52,7 +52,6 @@ STRATEGIES = (*PICTURES, *LOOKS)
 IDENTITY = "identity"  # node of a graph
 GROUPS: Mapping[str, tuple[str, ...]] = {"people": ("player", "referee"), "ball": ("ball",)}
 SAME_IOU = 0.5  # from which an unseen person and a track are one
-metrics = LateModule("trackeval.metrics")
 Row = dict[str, Any]
 Looks = Mapping[tuple[str, str], Stages]  # by name and policy of a strategy
 

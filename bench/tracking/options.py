@@ -6,6 +6,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
+from bench.options import MOST_CLIPS
 from bench.outputs import PLOTS, make_room, work_folder
 from bench.tracking.budgets import CONTEXT, PURSUIT, parsed
 from bench.tracking.episode import Rules
@@ -24,7 +25,6 @@ LEAST = {
     **dict.fromkeys(("clips", "players", "every", "longest", "replan", "jobs"), 1),
     **dict.fromkeys(("delay", "seed"), 0),
 }
-MOST_CLIPS = 1000
 UNUSED_BY_MANY: Mapping[str, Any] = {  # with their defaults
     "targets": tuple(KINDS), "players": 1, "every": 8, "longest": Rules.longest,
     "tracker": "", "sees": "both", "cue": "none", "protocol": "short", "states": False,

@@ -52,7 +52,9 @@ def in_a_sentence(interrupted: str = "interrupted") -> Iterator[None]:
     except (MemoryError, RuntimeError) as error:  # torch raises the latter
         if isinstance(error, RuntimeError) and not _NO_MEMORY.search(str(error)):
             raise
-        _end("not enough memory; a training needs less with a smaller --batch", REFUSED)
+        less = "; a smaller --batch needs less" if interrupted == GOES_ON else ""
+        said = str(error).split("\n", 1)[0]  # torch adds where in its code it was
+        _end(f"not enough memory{less}" + (f": {said}" if said else ""), REFUSED)
     except (FileExistsError, NotADirectoryError) as error:
         _end(f"{error.filename}: expected a folder, got a file", REFUSED)
     except OSError as error:  # a full disk, a file that is not ours

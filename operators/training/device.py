@@ -33,17 +33,20 @@ def device_of(name: str) -> torch.device:
 def mixed_precision(device: torch.device) -> torch.autocast:
     """Compute in bfloat16, while this is entered, where the device has instructions for it.
 
-    A processor that has none imitates it: a step of the detector's training then takes nine times
-    as long as in single precision.
+    Others, also MPS, compute in single precision. A processor without such instructions imitates
+    them: a step of the detector's training then takes nine times as long.
     """
     return torch.autocast(device.type, torch.bfloat16, enabled=_has_bfloat16(device))
 
 
 def _has_bfloat16(device: torch.device) -> bool:
+    if device.type == "cuda":
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     if device.type != "cpu":
-        return bool(device.type != "mps")
-    told = getattr(torch.cpu, "get_capabilities", None)
-    return told is None or not BFLOAT16.isdisjoint(name for name, has in told().items() if has)
+        return False
+    if (told := getattr(torch.cpu, "get_capabilities", None)) is None:  # before torch 2.11
+        return bool(torch.cpu._is_avx512_bf16_supported())
+    return not BFLOAT16.isdisjoint(name for name, has in told().items() if has)
 
 
 def moved(values: Tensor, device: torch.device) -> Tensor:

@@ -2,6 +2,7 @@
 
 import os
 import shlex
+from collections.abc import Mapping
 from dataclasses import asdict
 from math import floor
 from pathlib import Path
@@ -20,6 +21,7 @@ from pipeline.cli.overlaid import GRAPH, load_overlaid, overlaid
 from pipeline.cli.running import built_settings
 from pipeline.cores import available_cores
 from pipeline.errors import RunError, SettingsError
+from pipeline.graph.overlay import read_settings
 from pipeline.graph.plan import Plan
 from pipeline.inference import available
 from pipeline.planner.machine import this_machine
@@ -49,14 +51,15 @@ def tune(
     """Measure each network with more threads and other providers; propose the cheapest settings."""
     if out:
         try_report(out, "--out")
-    plan = load_overlaid(graph, **laid)
+    plan, given = load_overlaid(graph, **laid), laid.pop("settings")
     rate = rate_hz or rate_of(plan)
     most = threads or min(MOST_THREADS, max(1, floor(available_cores())))
     choices, others_ms = measured(plan, rate, frames, most)
     needed, cores = cores_needed(others_ms, choices, rate), available_cores()
     settings = changes_of(choices)
     if out:
-        unwritten = write_text(out, yaml_of(settings, plan.name, rate), "--out")
+        whole = yaml_of(with_given(settings, given), plan.name, rate)
+        unwritten = write_text(out, whole, "--out")
         if unwritten:
             raise RunError(unwritten)
     if as_json:
@@ -72,16 +75,31 @@ def tune(
     if out:
         _print_whole(f"{out}: {command_with(graph, out, **laid)}")
     elif settings:
-        told = (f"--set {node}.{k}={v}" for node, each in settings.items() for k, v in each.items())
-        _print_whole("to have it: " + " ".join(told))
+        told = [f"{node}.{k}={v}" for node, each in settings.items() for k, v in each.items()]
+        _print_whole("to have it: " + shlex.join(word for each in told for word in ("--set", each)))
+
+
+def with_given(
+    settings: Mapping[str, Mapping[str, Any]], given: Path | None
+) -> dict[str, dict[str, Any]]:
+    """Return settings by node, beside those of a file that `--settings` gave."""
+    found: dict[str, dict[str, Any]] = {}
+    for node, name, value in read_settings(given) if given else ():
+        found.setdefault(node, {})[name] = value
+    for node, each in settings.items():
+        found[node] = {**found.get(node, {}), **each}
+    return found
 
 
 def command_with(
-    graph: Path, out: Path, *, source: Path | None, changes: tuple[str, ...], **_: Any
-) -> str:
+    graph: Path, out: Path, *, source: Path | None, changes: tuple[str, ...], clock: str | None,
+    wanted: tuple[str, ...],
+) -> str:  # fmt: skip
     """Return the command that runs the graph as it was tuned, for a shell."""
     words = ["fovea", "run", str(graph), *(["--source", str(source)] if source else [])]
     words += [word for change in changes for word in ("--set", change)]
+    words += [word for node in wanted for word in ("--with", node)]
+    words += ["--clock", clock] if clock else []
     return shlex.join([*words, "--settings", str(out)])
 
 

@@ -265,9 +265,14 @@ def _summary(node: str, figures: object) -> Summary:
         try:
             values |= json.loads(json.dumps({name: value}))
         except (TypeError, ValueError, RecursionError) as error:
-            left_out.append(f"only {name} of what summary() returned: {said_by(error)}")
+            left_out.append(f"without {harmless(_text(name))}: {harmless(said_by(error))}")
     kept = plain(values, most_chars=MOST_EVENT_BYTES)  # a reader cuts them, once
     told = Summary(node, kept, "; ".join(left_out))
     if (size := len(encode(told))) > MOST_EVENT_BYTES:
         return Summary(node, {}, f"expected up to {MOST_EVENT_BYTES} bytes, got {size}")
     return told
+
+
+def _text(name: object) -> str:
+    """Return a figure's name; that of a class for anything else, whose `str` may do anything."""
+    return name if isinstance(name, str) else f"a {type(name).__name__}"

@@ -179,7 +179,7 @@ class Summary(ControlMessage, frozen=True):
 
     node: str
     figures: dict[str, Any]
-    left_out: str = ""  # why there are no figures
+    left_out: str = ""  # which figures are missing, and why
 
 
 class Replanned(ControlMessage, frozen=True):

@@ -35,5 +35,5 @@ class NodeReports:
             self.left_out.pop(node, None)
         if event.left_out:
             self.left_out[node] = harmless(event.left_out)
-            log.warning("%s: its summary is left out: %s", node, self.left_out[node])
+            log.warning("%s: its summary is incomplete: %s", node, self.left_out[node])
         self.summaries[node].update(plain(event.figures))

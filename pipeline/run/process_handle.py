@@ -168,7 +168,7 @@ class ProcessHandle:
         self.operators = frozenset(node.operator for node in job.nodes)
         self.ready = self.going = False
         self.left = False  # it has announced its end
-        self.killed = False  # it may take long to end: its memory is freed first
+        self.killed_s = 0.0  # when; it may take long to end: its memory is freed first
         self.began_s = time.monotonic()
         self.load_s = 0.0  # time it took to open its operators, models included
         self._usage: psutil.Process | None = None
@@ -216,7 +216,7 @@ class ProcessHandle:
         if self.ended() is None and with_traceback:
             self._process.signal(signal.SIGUSR1)
             time.sleep(0.05)
-        self.killed = True
+        self.killed_s = self.killed_s or time.monotonic()
         self._process.kill()
 
     def await_end(self, timeout_s: float) -> bool:

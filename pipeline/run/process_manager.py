@@ -307,7 +307,9 @@ class ProcessManager:
                 "revision": self.revision,
                 "pids": {s.name: s.handle.pid for s in self.processes.values() if s.handle},
                 "gone": [
-                    s.name for s in self.processes.values() if not (s.handle or s.next_start_s)
+                    s.name
+                    for s in self.processes.values()
+                    if s.deaths and not (s.handle or s.next_start_s)
                 ],
                 "restarts": self.restarts,
                 "crashes": self.crashes,

@@ -42,7 +42,8 @@ TICK_S = 0.02
 SAMPLE_S = 1.0
 DRAIN_S = 5.0  # limit without any message being accounted for
 LONGEST_DRAIN_S = 60.0
-STOP_S = 4.0
+HANGS_S = 10.0  # a process that has not ended this long after it was killed
+STOP_S = FAREWELL_S + 3.0  # in which it also writes what hangs, on a busy machine
 KILLED, TOO_LATE = -signal.SIGKILL, 2  # status of a node that does not stop: killed, or timed out
 CLOSE_S = 3.0  # for leaving the bus: a frozen client may delay it
 log = logging.getLogger(__name__)
@@ -267,9 +268,10 @@ class Supervisor:
         for handle in handles:
             status = handle.ended()
             if status == TOO_LATE and not (handle.left or self.in_haste):
+                what = "close; its device may still be open" if handle.ready else "finish opening"
                 log.warning(
-                    "%s: did not close within %g s; its device may still be open, see %s",
-                    handle.name, FAREWELL_S, self.manager.run_folder.to_read(handle.name),
+                    "%s: did not end within %g s: it did not %s, see %s", handle.name, FAREWELL_S,
+                    what, self.manager.run_folder.to_read(handle.name),
                 )  # fmt: skip
             if status in (None, KILLED, TOO_LATE) or (status == 0 and handle.left):
                 continue
@@ -358,7 +360,11 @@ class Supervisor:
             self._restarts.on_end(managed, status, now_s)
         elif managed.handle.ready and not managed.handle.going:
             self.manager.let_go(managed)
-        elif not managed.handle.killed and (why := self.health.problem(managed)):
+        elif managed.handle.killed_s:
+            if 0 < managed.handle.killed_s < now_s - HANGS_S:
+                log.error("%s: process %d hangs in the kernel", managed.name, managed.handle.pid)
+                managed.handle.killed_s = float("inf")  # it is told once
+        elif why := self.health.problem(managed):
             log.error("%s: %s; killed", managed.name, why)
             managed.last_words = why
             managed.handle.kill(with_traceback=True)

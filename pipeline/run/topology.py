@@ -150,6 +150,7 @@ class TopologyOperation(Operation):
             self._mine = fresh
             for managed in fresh:
                 manager.begin(managed)
+                manager.note()  # with its process, which may take long to get ready
                 yield from self._ready(managed)
         except RunError:
             self._end(fresh)

@@ -49,7 +49,7 @@ def as_data(findings: list[Finding]) -> list[dict[str, Any]]:
 def print_verdict(console: Console, report: Mapping[str, Any]) -> None:
     """Print the findings: as a table in a terminal, one line each in a pipe."""
     left_out = (
-        Finding(about=node, sentence=f"its summary is left out: {why}")
+        Finding(about=node, sentence=f"its summary is incomplete: {why}")
         for node, why in report.get("left_out", {}).items()
     )
     table = Table.grid(padding=(0, 2, 0, 0))

@@ -46,5 +46,6 @@ def test_a_picture_is_written_whole_or_its_file_is_told(
 def test_a_bench_is_told_before_it_works_that_its_file_cannot_be_written(tmp_path: Path) -> None:
     assert new_file(str(tmp_path / "new" / "a.json")).parent.is_dir()
 
-    with pytest.raises(ArgumentTypeError, match="cannot be written"):
-        new_file(str(tmp_path))
+    for path in (str(tmp_path), "/dev/null"):
+        with pytest.raises(ArgumentTypeError, match="cannot be written"):
+            new_file(path)

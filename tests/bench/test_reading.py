@@ -141,6 +141,14 @@ def test_the_content_of_a_clip_is_that_of_its_pictures_and_labels(tmp_path: Path
     assert repainted[0] == relabelled[0]
 
 
+def test_a_photograph_without_a_label_in_its_file_is_passed_over(tmp_path: Path) -> None:
+    (photographs(tmp_path) / "gt_img_0.txt").write_text("")
+
+    clips = clips_of(str(tmp_path), count=9, frames=3, seed=0)
+
+    assert [clip.name for clip in clips] == ["img_1.png"]
+
+
 def test_a_video_goes_with_the_labels_of_its_name_or_the_only_ones(tmp_path: Path) -> None:
     for name in ("1.mp4", "2.mp4", "all.json"):
         (tmp_path / name).touch()

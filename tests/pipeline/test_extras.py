@@ -36,19 +36,6 @@ def test_a_late_module_is_imported_when_it_is_used(monkeypatch: pytest.MonkeyPat
     assert (looked_at, before, "colorsys" in sys.modules) == (False, False, True)
 
 
-def test_what_a_module_prints_when_it_is_imported_is_in_no_table(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.syspath_prepend(tmp_path)
-    for name in ("talks", "also_talks"):
-        (tmp_path / f"{name}.py").write_text("print('no pycocotools')\nanswer = 42\n")
-
-    need("talks", "here")
-
-    assert LateModule("also_talks").answer == 42
-    assert capsys.readouterr().out == ""
-
-
 def test_a_missing_package_is_reported_in_one_sentence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from operators.training.command_line import count, in_a_sentence
+from operators.training.command_line import GOES_ON, count, in_a_sentence
 from pipeline import SettingsError
 from tests.operators.training.test_workers import ended, wait_for
 
@@ -33,7 +33,8 @@ if __name__ == "__main__":
 """
 
 
-NO_MEMORY = "not enough memory; a training needs less with a smaller --batch"
+ALLOCATOR = "DefaultCPUAllocator: can't allocate memory: 9 bytes"
+CUDA = "CUDA out of memory. Tried to allocate 20.00 MiB."
 
 
 @pytest.mark.parametrize(
@@ -43,9 +44,9 @@ NO_MEMORY = "not enough memory; a training needs less with a smaller --batch"
         (NotADirectoryError(20, "Not a directory", "a/b"), "a/b: expected a folder, got a file"),
         (PermissionError(13, "Permission denied", "a/b"), "a/b: Permission denied"),
         (OSError(28, "No space left on device"), "[Errno 28] No space left on device"),
-        (RuntimeError("DefaultCPUAllocator: can't allocate memory: 9 bytes"), NO_MEMORY),
-        (RuntimeError("CUDA out of memory. Tried to allocate 20.00 MiB."), NO_MEMORY),
-        (MemoryError(), NO_MEMORY),
+        (RuntimeError(f"{ALLOCATOR}\nat 0x7"), f"not enough memory: {ALLOCATOR}"),
+        (RuntimeError(CUDA), f"not enough memory: {CUDA}"),
+        (MemoryError(), "not enough memory"),
     ],
 )
 def test_expected_errors_are_printed_in_a_sentence(
@@ -56,6 +57,16 @@ def test_expected_errors_are_printed_in_a_sentence(
 
     assert refused.value.code == 2
     assert capsys.readouterr().err == f"fovea: {said}\n"
+
+
+def test_a_training_without_enough_memory_says_what_needs_less(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit), in_a_sentence(GOES_ON):
+        raise RuntimeError(CUDA)
+
+    said = f"fovea: not enough memory; a smaller --batch needs less: {CUDA}\n"
+    assert capsys.readouterr().err == said
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError(), RuntimeError("shapes do not fit")])

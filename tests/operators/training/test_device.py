@@ -45,7 +45,7 @@ def test_auto_is_a_gpu_where_there_is_one() -> None:
 def test_a_processor_without_bfloat16_computes_in_single_precision(
     told: dict[str, bool], precision: torch.dtype, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: told)
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: told, raising=False)
 
     with mixed_precision(CPU):
         product = torch.ones(2, 2) @ torch.ones(2, 2)
@@ -53,11 +53,13 @@ def test_a_processor_without_bfloat16_computes_in_single_precision(
     assert product.dtype == precision
 
 
-def test_of_an_older_torch_bfloat16_is_expected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr(torch.cpu, "get_capabilities")
+@pytest.mark.parametrize("has", [False, True])
+def test_an_older_torch_tells_it_too(has: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(torch.cpu, "get_capabilities", raising=False)
+    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: has)
 
     with mixed_precision(CPU):
-        assert (torch.ones(2, 2) @ torch.ones(2, 2)).dtype == torch.bfloat16
+        assert ((torch.ones(2, 2) @ torch.ones(2, 2)).dtype == torch.bfloat16) == has
 
 
 def test_nothing_is_copied_on_the_cpu() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.cli.tune import changes_of, command_with, ways_of, yaml_of
+from pipeline.cli.tune import changes_of, command_with, ways_of, with_given, yaml_of
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay, read_settings
 from pipeline.graph.shipped import graph_path
@@ -74,13 +74,25 @@ def test_the_command_that_is_told_can_be_copied() -> None:
     changes = ("capture.path=my clip.mp4", "policy.target=player")
 
     told = command_with(
-        Path("g.yaml"), Path("tu ne.yaml"), source=Path("video.yaml"), changes=changes, clock=None
-    )
+        Path("g.yaml"), Path("tu ne.yaml"), source=Path("video.yaml"), changes=changes,
+        clock="lockstep", wanted=("visualise",),
+    )  # fmt: skip
 
     assert shlex.split(told) == [
         "fovea", "run", "g.yaml", "--source", "video.yaml", "--set", "capture.path=my clip.mp4",
-        "--set", "policy.target=player", "--settings", "tu ne.yaml",
+        "--set", "policy.target=player", "--with", "visualise", "--clock", "lockstep",
+        "--settings", "tu ne.yaml",
     ]  # fmt: skip
+
+
+def test_settings_that_were_given_stay_beside_those_that_were_found(tmp_path: Path) -> None:
+    given = tmp_path / "own.yaml"
+    given.write_text("policy: {target: player}\nsaliency: {threads: 3, weights: corners}\n")
+
+    assert with_given({"saliency": {"threads": 1}}, given) == {
+        "policy": {"target": "player"}, "saliency": {"threads": 1, "weights": "corners"},
+    }  # fmt: skip
+    assert with_given({"saliency": {"threads": 1}}, None) == {"saliency": {"threads": 1}}
 
 
 def test_what_is_tried_is_what_the_node_does_not_have() -> None:

@@ -217,7 +217,7 @@ def test_a_part_that_does_not_close_in_time_is_named_and_its_log_has_the_stack(
 
     (said,) = [message for message in caplog.messages if message.startswith("unruly")]
     assert said == (
-        "unruly: did not close within 3 s; its device may still be open, "
+        "unruly: did not end within 3 s: it did not close; its device may still be open, "
         f"see `fovea logs {plan.name} unruly`"
     )
     assert "in close" in (base() / plan.name / "unruly.log").read_text()

@@ -12,6 +12,7 @@ from pipeline.client.find import find
 from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
 from pipeline.protocol.orders import TopologyResult
+from pipeline.run.rundir import running
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import (
     LOSSLESS,
@@ -184,3 +185,29 @@ def test_an_addition_that_does_not_start_leaves_the_graph_as_it_was(tmp_path: Pa
     assert report["failure"] == ""
     assert report["summaries"]["count"]["seen"] == list(range(report["frames"]["exposed"]))
     assert_accounts_add_up(report)
+
+
+SLOW = """\
+nodes:
+  slow:
+    operator: tests.faulty_samples:Sick
+    inputs: {frame: {from: work, depth: 60}}
+    settings: {open_s: 3, ill_from: 1000000}
+"""
+
+
+def test_an_added_node_that_opens_slowly_has_a_process_and_is_not_gone(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOSSLESS)
+    noted: list[dict[str, Any]] = []
+
+    def acts(order: Order, supervisor: Supervisor) -> None:
+        adding = threading.Thread(target=order, args=(with_nodes, addition(tmp_path, SLOW)))
+        adding.start()
+        until(lambda: "slow" in running()[plan.name]["pids"] or not adding.is_alive())
+        noted.append(running()[plan.name] | {"opens": adding.is_alive()})
+        adding.join()
+
+    go(plan, 0, operating(plan, acts))
+
+    assert noted[0]["opens"]
+    assert noted[0]["gone"] == []

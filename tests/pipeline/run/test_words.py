@@ -112,7 +112,7 @@ def test_a_huge_summary_is_left_out_and_the_report_has_the_reason(
     assert done.returncode == 0, done.stderr
     found = json.loads(report.read_text())
     assert found["left_out"]["unruly"].startswith("expected up to 1048576 bytes, got 1")
-    assert "unruly: its summary is left out: expected up to" in done.stdout
+    assert "unruly: its summary is incomplete: expected up to" in done.stdout
     assert found["frames"]["exposed"] == 20
 
 
@@ -128,9 +128,9 @@ def test_a_figure_that_is_no_plain_value_is_left_out_of_a_summary_with_the_reaso
 
     assert done.returncode == 0, done.stderr
     found = json.loads(report.read_text())
-    why = "only wrong of what summary() returned: Object of type object is not JSON serializable"
+    why = "without wrong: Object of type object is not JSON serializable"
     assert found["left_out"] == {"unruly": why}
-    assert f"unruly: its summary is left out: {why}" in done.stdout
+    assert f"unruly: its summary is incomplete: {why}" in done.stdout
     assert (found["kept"], found["round"], found["crashes"]) == (3, math.pi, {})
 
 
@@ -139,7 +139,7 @@ def test_a_summary_that_is_no_mapping_is_left_out_with_the_reason(
 ) -> None:
     report = go(unruly_plan(tmp_path, kind="no_summary"), 20)
 
-    said = "unruly: its summary is left out: summary() returned NoneType, no mapping"
+    said = "unruly: its summary is incomplete: summary() returned NoneType, no mapping"
     assert said in caplog.messages
     assert report["crashes"] == {}
 
