@@ -96,21 +96,27 @@ def test_a_headline_is_cut_to_a_line(tmp_path: Path, size: int) -> None:
     assert report["failure"] == ""
 
 
+def run_by_command(
+    folder: Path, kind: str, **settings: object
+) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+    """Run a graph with an unruly part for 20 frames; return what it printed, and its report."""
+    graph, report = unruly_file(folder, kind=kind, **settings), folder / "r.json"
+    done = subprocess.run(
+        [*FOVEA, "run", str(graph), "--frames", "20", "--report", str(report)],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done, json.loads(report.read_text())
+
+
 @pytest.mark.parametrize(
     ("kind", "size"), [("long_summary", 50_000_000), ("huge_summary", 200_000)]
 )
 def test_a_huge_summary_is_left_out_and_the_report_has_the_reason(
     tmp_path: Path, kind: str, size: int
 ) -> None:
-    graph, report = unruly_file(tmp_path, kind=kind, size=size), tmp_path / "r.json"
+    done, found = run_by_command(tmp_path, kind, size=size)
 
-    done = subprocess.run(
-        [*FOVEA, "run", str(graph), "--frames", "20", "--report", str(report)],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
-
-    assert done.returncode == 0, done.stderr
-    found = json.loads(report.read_text())
     assert found["left_out"]["unruly"].startswith("expected up to 1048576 bytes, got 1")
     assert "unruly: its summary is incomplete: expected up to" in done.stdout
     assert found["frames"]["exposed"] == 20
@@ -119,15 +125,8 @@ def test_a_huge_summary_is_left_out_and_the_report_has_the_reason(
 def test_a_figure_that_is_no_plain_value_is_left_out_of_a_summary_with_the_reason(
     tmp_path: Path,
 ) -> None:
-    graph, report = unruly_file(tmp_path, kind="wrong_summary"), tmp_path / "r.json"
+    done, found = run_by_command(tmp_path, "wrong_summary")
 
-    done = subprocess.run(
-        [*FOVEA, "run", str(graph), "--frames", "20", "--report", str(report)],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
-
-    assert done.returncode == 0, done.stderr
-    found = json.loads(report.read_text())
     why = "without wrong: Object of type object is not JSON serializable"
     assert found["left_out"] == {"unruly": why}
     assert f"unruly: its summary is incomplete: {why}" in done.stdout
@@ -154,16 +153,10 @@ def test_a_long_text_in_a_summary_is_cut_with_the_number_of_missing_characters(
 
 
 def test_a_summary_of_odd_figures_breaks_no_report(tmp_path: Path) -> None:
-    graph, report = unruly_file(tmp_path, kind="odd_summary"), tmp_path / "r.json"
+    done, found = run_by_command(tmp_path, "odd_summary")
 
-    done = subprocess.run(
-        [*FOVEA, "run", str(graph), "--frames", "20", "--report", str(report)],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
-
-    assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stdout + done.stderr
-    assert "failure" not in json.loads(report.read_text())
+    assert "failure" not in found
 
 
 def test_a_state_that_cannot_be_had_fails_only_the_swap(tmp_path: Path) -> None:
