@@ -169,7 +169,7 @@ class Operator(Generic[S, Out]):
 
         It may be written until the handler returns; with `ahead` until a message with it is sent,
         in this call or a later one. At most two arrays of an output are lent ahead; a third loan
-        raises `PoolExhausted`.
+        raises `PoolExhausted`. What is kept longer may be overwritten by any later message.
         """
         return self._loan(output, shape, dtype, ahead=ahead)
 

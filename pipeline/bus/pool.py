@@ -70,7 +70,8 @@ class Lease:
             return None
         address = array.__array_interface__["data"][0]
         offset = address - self.pool.address - self.pool.start(self.slot)
-        inside = offset >= 0 and offset + array.nbytes <= self.pool.slot_bytes
+        # of an earlier lease of this slot, which a part may have kept, nothing is given out yet
+        inside = offset >= 0 and offset + array.nbytes <= self.used_bytes
         return int(offset) if inside else None
 
     def ref(self) -> SlotRef:

@@ -43,6 +43,21 @@ def test_a_loaned_picture_is_not_copied_on_its_way(edge: Edge) -> None:
     assert not received.pixels.flags.writeable
 
 
+def test_a_loaned_picture_that_was_kept_is_sent_again(edge: Edge) -> None:
+    pixels = edge.out.loan((60, 60, 3), np.uint8)
+    pixels[...] = 5
+
+    for seq in range(3):
+        edge.out.send(Frame(header=header(seq), pixels=pixels), header(seq))
+        edge.carry()
+        received = edge.arrivals.pop().message
+        assert isinstance(received, Frame)
+        assert (received.pixels == 5).all()
+        del received  # the slot is free, and taken for the next message
+
+    assert not edge.account.dropped("refused")
+
+
 def test_a_descriptor_is_small_whatever_the_picture(edge: Edge) -> None:
     edge.send(1, side_px=400)
 

@@ -335,6 +335,21 @@ def test_two_arrays_of_one_message_share_a_slot(memory: MemoryFolder) -> None:
     assert lease.offset_of(np.zeros(3)) is None
 
 
+def test_memory_of_an_earlier_lease_is_no_part_of_the_next_one_of_its_slot(
+    memory: MemoryFolder,
+) -> None:
+    pool = writer(memory)
+    earlier = pool.lease(8192)
+    kept = earlier.array((8192,), np.uint8)
+    assert kept is not None
+    pool.publish(earlier, 1)
+
+    lease = pool.lease(8192)
+
+    assert lease.slot == earlier.slot
+    assert lease.offset_of(kept) is None
+
+
 HOLDER = """
 import sys, time
 from pathlib import Path
