@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.simulated.checked import checked_picture, checked_truth
 from drivers.simulated.windows import Picture, picture_of
 from drivers.source import Annotations, FrameSource
 
@@ -76,7 +77,7 @@ class Prefetch:
             pixels = picture_of(self._source, indices[0])
         else:
             pixels = self._mean.of(self._source, indices)
-        truth = self._source.truth(indices[-1])
+        truth = checked_truth(self._source, indices[-1])
         now_ns = time.monotonic_ns()
         return Ready(
             seq=seq, pixels=pixels, truth=truth, ready_ns=now_ns, cost_ns=now_ns - began_ns
@@ -103,7 +104,7 @@ class _Mean:
 
     def of(self, source: FrameSource, indices: Sequence[int]) -> NDArray[np.uint8]:
         for number, index in enumerate(indices):
-            picture = source.picture(index)
+            picture = checked_picture(source, index)
             if number == 0:
                 if self._sum.shape != picture.shape:
                     self._sum = np.empty(picture.shape, np.float32)

@@ -4,6 +4,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, get_type_hints
 
+from drivers.simulated.checked import check_source
 from drivers.source import FrameSource
 from pipeline.errors import SettingsError
 from pipeline.import_path import imported
@@ -107,7 +108,9 @@ def _build(setting: str, path: str, values: dict[str, Any]) -> FrameSource:
     source = load_source(setting, path)
     kinds = _kinds(source)
     fitting = {n: fit(kinds[n], v, n) if n in kinds else v for n, v in values.items()}
-    return source(**fitting)
+    made = source(**fitting)
+    check_source(made)
+    return made
 
 
 def _kinds(source: Callable[..., FrameSource]) -> dict[str, Any]:

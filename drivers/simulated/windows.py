@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from drivers.commands import Window
 from drivers.readout import average
+from drivers.simulated.checked import checked_picture
 from drivers.source import FrameSource, WindowSource
 
 # of the whole pitch at 7680x4320 as 1358x764, a rest of 1.1 keeps 73 % of the sharpness, 2.8 96 %
@@ -42,7 +43,7 @@ def picture_of(source: FrameSource, index: int) -> Picture:
     """Return frame `index`, not yet made where the source can be read by windows."""
     if reads_windows(source):
         return WindowedPicture(source=source, index=index)
-    return source.picture(index)
+    return checked_picture(source, index)
 
 
 def reads_windows(source: FrameSource) -> TypeGuard[WindowSource]:
