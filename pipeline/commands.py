@@ -1,8 +1,8 @@
 """Commands of an operator (`fovea tell`): a name and arguments in, plain values out.
 
 An operator lists them in `commands`. Each is a method `do_<command>` with typed, named arguments,
-which may have defaults; it returns plain values or None. It is called between two calls of
-handlers, by the same thread.
+which may have defaults; it returns a mapping of plain values or None. It is called between two
+calls of handlers, by the same thread.
 """
 
 import dataclasses
@@ -15,6 +15,7 @@ from typing import Any
 from pipeline import settings as checked
 from pipeline.contract import Operator
 from pipeline.errors import SettingsError
+from pipeline.text import said_by
 from pipeline.wording import shown_key
 
 
@@ -28,11 +29,25 @@ def carry_out(
 ) -> dict[str, Any]:
     """Call a command of an operator and return its result as plain values.
 
-    Raises `SettingsError` for an unknown command or wrong arguments, without calling anything.
+    Raises `SettingsError` for an unknown command or wrong arguments, without calling anything, and
+    for a result that is neither None nor a mapping of plain values.
     """
     given = _checked(type(operator), command, arguments, node)
     returned = getattr(operator, f"do_{command}")(**given)
-    plain: dict[str, Any] = json.loads(json.dumps(dict(returned or {})))
+    return _plain(f"{node}.{command}", returned)
+
+
+def _plain(where: str, returned: object) -> dict[str, Any]:
+    """Return a command's result as JSON holds it, empty for None; raises `SettingsError`."""
+    if returned is None:
+        return {}
+    expected = f"{where}: expected a mapping of plain values"
+    if not isinstance(returned, Mapping):
+        raise SettingsError(f"{expected}, got {type(returned).__name__}")
+    try:
+        plain: dict[str, Any] = json.loads(json.dumps(dict(returned)))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise SettingsError(f"{expected}: {said_by(error)}") from error
     return plain
 
 

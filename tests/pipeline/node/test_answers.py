@@ -4,6 +4,7 @@ import re
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -35,9 +36,18 @@ def work(*seqs: int) -> Pass:
     return operator
 
 
-def commanded(operator: Pass) -> Callable[[Command], Outcome]:
+class Returning(Operator[Any, None]):
+    """Has one command, which returns the settings."""
+
+    commands = ("ret",)
+
+    def do_ret(self) -> Any:
+        return self.settings
+
+
+def commanded(operator: Operator[Any, Any], node: str = "work") -> Callable[[Command], Outcome]:
     """Return the function with which a node answers a command."""
-    return lambda c: Outcome(answer=carry_out("work", operator, c.command, c.arguments))
+    return lambda c: Outcome(answer=carry_out(node, operator, c.command, c.arguments))
 
 
 def test_a_command_is_done_and_answered() -> None:
@@ -82,6 +92,33 @@ def test_an_exception_in_a_command_is_sent_as_the_answer_and_raised() -> None:
     assert re.search(
         r"it failed and restarts: .+samples\.py:[0-9]+: ValueError: told to break", said
     )
+
+
+@pytest.mark.parametrize(
+    ("returned", "said"),
+    [
+        (np.zeros(3), ", got ndarray"),
+        ([], ", got list"),
+        (0, ", got int"),
+        ({"mean": np.zeros(3)}, ": Object of type ndarray is not JSON serializable"),
+    ],
+    ids=["array", "list", "number", "array within"],
+)
+def test_what_is_no_mapping_of_plain_values_is_refused_and_the_operator_goes_on(
+    returned: Any, said: str
+) -> None:
+    operator, answers = Returning(returned), list[bytes]()
+
+    respond("x", Command, encode(Command("ret")), commanded(operator, "x"), answers.append)
+
+    assert decode(Refused, answers[0]).reason == f"x.ret: expected a mapping of plain values{said}"
+
+
+@pytest.mark.parametrize("returned", [None, {}, MappingProxyType({"a": (1, 2.5)})])
+def test_a_command_answers_with_none_or_any_mapping(returned: Any) -> None:
+    answer = carry_out("x", Returning(returned), "ret", {})
+
+    assert answer == ({"a": [1, 2.5]} if returned else {})
 
 
 def test_commands_name_methods_whose_arguments_have_types() -> None:
