@@ -21,7 +21,7 @@ from pipeline.bus.local_transport import LocalReceiver, connect
 from pipeline.cause import cause_of
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.node.operator_runner import OperatorRunner
-from pipeline.node.operator_state import UndeclaredState, class_of, lost_words, restore
+from pipeline.node.operator_state import WITHOUT, UndeclaredState, class_of, lost_words, restore
 from pipeline.node.shadow import Heard, Shadow
 from pipeline.private_folder import PrivateFolder
 from pipeline.protocol.codec import decode, encode
@@ -41,6 +41,7 @@ from pipeline.protocol.supervision import (
 HANDOVER_CHANNEL = 0xFFFFFFFF  # the "edge" on which a successor gets the state
 REST_S = 0.005
 MOST_STATE_BYTES = 1 << 30
+ITS = "the running instance's"  # in a refusal, "its" would read as the successor's
 MARGIN = 64  # descriptors buffered beyond what the other instance can have waiting
 Say = Callable[[Event], None]
 Listen = Callable[[Heard], Callable[[], None]]  # starts a tap, returns how to stop it
@@ -262,7 +263,7 @@ class Handover:
         try:
             state = self._runner.operator.state()
         except Exception as error:  # the node keeps running: only the swap is refused
-            raise RunError(f"its state() failed: {cause_of(error)}") from error
+            raise RunError(f"{ITS} state() failed: {cause_of(error)}{WITHOUT}") from error
         if state is None:
             return ""
         name = f"{self._runner.name}.{self._runner.epoch}.state"
@@ -270,7 +271,7 @@ class Handover:
         try:
             data = codec.dumps(state)
         except MessageError as error:
-            raise RunError(f"its state cannot be written: {error}") from error
+            raise RunError(f"{ITS} state cannot be written: {error}{WITHOUT}") from error
         self._memory.write(name, data)
         return name
 

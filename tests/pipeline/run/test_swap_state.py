@@ -89,8 +89,8 @@ def test_a_part_that_has_to_be_stopped_and_started_begins_anew_with_a_reason(
 KEPT_BACK = {
     "Unnamed": r"the state cannot be carried over: its state\(\) names no dataclass",
     "Refusing": r"its restore\(\) failed: .*stateful_samples\.py:\d+: ValueError:",
-    "Mistaken": "its state cannot be written: Counted.count: expected int, got a str",
-    "Loose": "its state cannot be written: dict: expected a dataclass",
+    "Mistaken": "the running instance's state cannot be written: Counted.count: expected int, got",
+    "Loose": "the running instance's state cannot be written: dict: expected a dataclass",
 }
 
 
@@ -107,6 +107,7 @@ def test_a_state_that_cannot_be_carried_over_leaves_the_old_part_at_work(tmp_pat
 
     for (cls, said), reason in zip(KEPT_BACK.items(), reasons(results), strict=True):
         assert re.match(f"{cls.lower()}: {said}", reason)
+        assert "; `fovea swap --fresh` begins without it" in reason
         assert "\n" not in reason
     assert_accounts_add_up(report)
     assert all(edge["dropped"] == {} for edge in report["edges"])

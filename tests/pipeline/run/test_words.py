@@ -171,8 +171,9 @@ def test_a_state_that_cannot_be_had_fails_only_the_swap(tmp_path: Path) -> None:
 
     report = go(unruly_plan(tmp_path, kind="broken_state", size=100_000), 0, during)
 
-    assert reasons(answers)[0].startswith("unruly: its state() failed: ")
+    assert reasons(answers)[0].startswith("unruly: the running instance's state() failed: ")
     assert ": ValueError: no statexxx" in reasons(answers)[0]
+    assert reasons(answers)[0].endswith("; `fovea swap --fresh` begins without it")
     assert len(reasons(answers)[0]) < 2200
     assert report["restarts"] == {}
     assert_accounts_add_up(report)
