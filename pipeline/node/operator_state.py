@@ -53,6 +53,8 @@ def check_state(node: str, operator: Operator[Any, Any]) -> None:
 
 def _loaded(cls: type[Operator[Any, Any]], data: bytes) -> Any:
     """Return a state of this class; raises `MessageError` for one that it does not declare."""
+    if cls.state is Operator.state:
+        raise MessageError("it has no state()")
     kind = state_type(cls)
     if kind is None:
         raise MessageError("its state() names no dataclass as what it returns")

@@ -260,6 +260,7 @@ def test_an_operator_that_declares_its_state_has_nothing_undeclared() -> None:
 @pytest.mark.parametrize(
     ("cls", "said"),
     [
+        (Forgetful, "it has no state()"),
         (Unnamed, "its state() names no dataclass as what it returns"),
         (Unresolved, "its state() names no dataclass as what it returns"),
         (Unrestored, "it declares state() and no restore()"),
