@@ -111,6 +111,7 @@ class Operator(Generic[S, Out]):
     def state(self) -> object | None:
         """Return what must survive a swap, as one dataclass of plain values and arrays.
 
+        Its return annotation has to name the dataclass: without it no swap carries the state over.
         An override that returns None declares that nothing must: what changes is scratch memory.
         """
         return None
