@@ -9,6 +9,8 @@ Five kinds of output are understood:
 - `end2end` (1, n, 6), suppressed in the network (YOLOv10, YOLO26, `nms=True`): corners in pixels,
   score, class; or (1, n, 7) of turned boxes: centre, size, score, class, angle. A row of score 0 is
   empty.
+
+A score that is no number passes every threshold: `usable` tells it, so that somebody hears of it.
 """
 
 from dataclasses import dataclass, replace
@@ -25,6 +27,8 @@ Array = NDArray[np.float32]
 Kind = Literal["yolo", "obb", "yolox", "yolox_decoded", "end2end"]
 YOLOX_STRIDES = (8, 16, 32)
 CANDIDATES = 300  # best ones that reach suppression, whose cost grows with their square
+FARTHEST_PX = 1e6  # a coordinate of what may be a box; YOLOX's largest, e^10 cells, stay within
+SCORE_SLACK = 0.01  # above 1, by the rounding of quantised networks
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,9 +127,9 @@ def decode_yolo(output: Array, thresholds: Array, *, turned: bool = False) -> Ca
     `output` (4 + classes [+ 1], anchors); `thresholds` (classes,), above 1 to leave a class out.
     """
     scores = output[4 : 4 + len(thresholds)]
-    anchors = np.flatnonzero((scores >= thresholds[:, None]).any(0))
+    anchors = np.flatnonzero(~(scores < thresholds[:, None]).all(0))
     found = scores[:, anchors]
-    kept = _best(np.where(found >= thresholds[:, None], found, 0), output[:4, anchors].T)
+    kept = _best(np.where(found < thresholds[:, None], 0, found), output[:4, anchors].T)
     if not turned:
         return kept[0]
     candidates, rows = kept
@@ -139,18 +143,18 @@ def decode_yolox(output: Array, thresholds: Array, grid: Grid | None) -> Candida
     """
     objectness = output[:, 4]
     # the product of both is at most the objectness: most anchors need no further look
-    likely = np.flatnonzero(objectness >= thresholds.min())
+    likely = np.flatnonzero(~(objectness < thresholds.min()))
     scores = output[likely, 5:] * objectness[likely, None]
-    passed = (scores >= thresholds).any(1)
+    passed = ~(scores < thresholds).all(1)
     anchors, scores = likely[passed], scores[passed]
     raw = output[anchors, :4]
     if grid is None:
-        return _best(np.where(scores >= thresholds, scores, 0).T, raw)[0]
+        return _best(np.where(scores < thresholds, 0, scores).T, raw)[0]
     strides = grid.strides[anchors]
     centres = (raw[:, :2] + grid.cells[anchors]) * strides
     # a wild log size must not overflow: no box is larger than e^10 cells
     sizes = np.exp(np.minimum(raw[:, 2:], 10)) * strides
-    return _best(np.where(scores >= thresholds, scores, 0).T, np.hstack([centres, sizes]))[0]
+    return _best(np.where(scores < thresholds, 0, scores).T, np.hstack([centres, sizes]))[0]
 
 
 def decode_end2end(output: Array, thresholds: Array) -> Candidates:
@@ -158,7 +162,8 @@ def decode_end2end(output: Array, thresholds: Array) -> Candidates:
 
     Raises `MessageError` for a class that `thresholds` (classes,) does not have.
     """
-    found = output[output[:, 4] > 0]
+    found = output[~(output[:, 4] <= 0)]
+    found[np.isnan(found[:, 4]), 5] = 0  # any class: the row is not usable
     classes = found[:, 5]
     known = (classes >= 0) & (classes < len(thresholds)) & (classes == np.trunc(classes))
     if len(wrong := classes[~known]):
@@ -166,7 +171,7 @@ def decode_end2end(output: Array, thresholds: Array) -> Candidates:
             f"saliency: expected classes 0 to {len(thresholds) - 1}, as many as the detector has "
             f"names, got {wrong[0]:g}"
         )
-    found = found[found[:, 4] >= thresholds[classes.astype(np.intp)]]
+    found = found[~(found[:, 4] < thresholds[classes.astype(np.intp)])]
     found = found[np.argsort(-found[:, 4], kind="stable")[:CANDIDATES]]
     boxes, turned = found[:, :4], output.shape[1] == 7
     if turned:
@@ -195,6 +200,15 @@ def _best(scores: Array, centred: Array) -> tuple[Candidates, NDArray[np.intp]]:
         classes=classes[rows],
     )
     return found, rows
+
+
+def usable(found: Candidates) -> NDArray[np.bool_]:
+    """Whether each has a finite box of some area, a finite angle and a score 0..1: (n,)."""
+    boxes, scores = found.boxes, found.scores
+    # a comparison with what is no number is false
+    within = (np.abs(boxes) <= FARTHEST_PX).all(1) & (boxes[:, 2:] > boxes[:, :2]).all(1)
+    score = (scores >= 0) & (scores <= 1 + SCORE_SLACK)
+    return np.asarray(within & score & np.isfinite(found.angles))
 
 
 def suppress(candidates: Candidates, limit_iou: float, *, agnostic: bool) -> NDArray[np.intp]:

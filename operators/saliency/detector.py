@@ -5,9 +5,11 @@ Some read what changed since the frame before as well (difference.py).
 The file, a side file and the settings say together what the network's input and output are.
 """
 
+import logging
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +26,13 @@ from operators.saliency.decode import (
     fits,
     kind_of,
     suppress,
+    usable,
     yolox_grid,
 )
 from operators.saliency.description import MOST_PX, Description, described, side_file
 from operators.saliency.letterbox import Letterbox, Placement
 from pipeline import SettingsError, WeightsError
+from pipeline.contract import HEADLINE
 from pipeline.inference import HALF, Network
 from pipeline.weights import weights_file
 
@@ -56,6 +60,7 @@ FEATURE_STRIDE_PX = 8
 USUAL_CONFIDENCE = 0.25
 INPUT_TYPES = ("tensor(float)", HALF)
 Array = NDArray[np.float32]
+log = logging.getLogger(__name__)
 
 
 class Detector:
@@ -69,6 +74,7 @@ class Detector:
 
     def __init__(self, settings: "SaliencySettings") -> None:
         self.settings = settings
+        self.unusable = 0  # boxes so far
         self.path = weights_file(settings.weights, NAMED)
         self.network = Network(self.path, **settings.compute)
         self.known = described(self.path, self.network.metadata)
@@ -109,7 +115,7 @@ class Detector:
         """
         placement = self._box.put(picture, difference)
         outputs = self.network({self.input: self._box.tensor})
-        found = self._decoded(outputs[self.output][0])
+        found = self._usable(outputs[self.output][0])
         kept = suppress(found, self.settings.nms_iou, agnostic=self.settings.class_agnostic)
         found = found.take(kept[: self.settings.max_objects])
         named = replace(found, classes=self._reported[found.classes])
@@ -118,6 +124,33 @@ class Detector:
     def confidence_of(self, name: str) -> float:
         """Return the least confidence with which a class is reported."""
         return float(self._thresholds[self._reported == self.names.index(name)].min())
+
+    def summary(self) -> Mapping[str, Any]:
+        """What the network runs on, and how many boxes were left out because they are none."""
+        found: dict[str, Any] = dict(self.network.where())
+        if self.unusable:
+            found["unusable_boxes"] = self.unusable
+            told = f"{self.unusable} boxes of {self.path.name} were unusable, as the log says"
+            found[HEADLINE] = told
+        return found
+
+    def _usable(self, output: Array) -> Candidates:
+        # numbers that overflow, or are none, give boxes that are left out
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = self._decoded(output)
+        good = usable(found)
+        if not good.all():
+            bad = int((~good).sum())
+            if not self.unusable:
+                log.warning(
+                    "%s: expected finite boxes with sides above 0 and scores within 0..1, got %d "
+                    "others in one picture; they are left out, as are later ones",
+                    self.path,
+                    bad,
+                )
+            self.unusable += bad
+            found = found.take(good)
+        return replace(found, scores=np.minimum(found.scores, 1))
 
     def _decoded(self, output: Array) -> Candidates:
         if self.kind in ("yolox", "yolox_decoded"):

@@ -129,8 +129,8 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         self._roi = np.array(roi.window, np.float32) if roi.pixels.size else None
 
     def summary(self) -> Mapping[str, Any]:
-        """What the network runs on."""
-        return self._detector.network.where()
+        """What the network runs on, and how much of its output was unusable."""
+        return self._detector.summary()
 
     def headline(self) -> str:
         """What the network runs on, where it is not the CPU."""

@@ -105,8 +105,8 @@ class Saliency(Operator[SaliencySettings, Detections]):
         self._before.forget()
 
     def summary(self) -> Mapping[str, Any]:
-        """What the network runs on."""
-        return self._detector.network.where()
+        """What the network runs on, and how much of its output was unusable."""
+        return self._detector.summary()
 
     def headline(self) -> str:
         """What the network runs on, where it is not the CPU."""
