@@ -74,7 +74,7 @@ def _named(name: str) -> tuple[str, dict[str, Any]]:
     if name.startswith("/dev/"):
         return _source("webcam", "camera_options.device", name)
     if is_import_path(name):
-        return name, {}
+        return _class(name)
     if name == "virtual":
         return _source("virtual_board")
     if name in source_names() or Path(name).suffix in (".yaml", ".yml"):
@@ -92,6 +92,14 @@ def _source(name: str, key: str = "", value: str = "") -> tuple[str, dict[str, A
     if key:
         _put(options, key, value)
     return settings.get("sensor", "drivers.simulated:SimulatedSensor"), options
+
+
+def _class(path: str) -> tuple[str, dict[str, Any]]:
+    """Return a sensor by its class, or what makes one of a plain camera."""
+    found = imported(path, SettingsError, "sensor")
+    if not hasattr(found, "set_rois") and callable(getattr(found, "read", None)):
+        return "drivers.cameras:CameraSensor", {"camera": path}
+    return path, {}
 
 
 def _board(serial: str) -> tuple[str, dict[str, Any]]:

@@ -169,6 +169,7 @@ def test_a_name_is_a_sensor_with_the_settings_of_its_source_file(
     [
         ("/dev/video7", {"device": "/dev/video7"}),
         ("rtsp://camera.local/one", {"url": "rtsp://camera.local/one"}),
+        ("drivers.cameras:Webcam", {}),
     ],
 )
 def test_a_plain_camera_is_tested_as_a_sensor_in_software(

@@ -54,6 +54,19 @@ def test_the_generated_graph_runs_as_processes(kind: str, here: Path) -> None:
     assert "10 frames" in said
 
 
+def test_the_generated_driver_is_tested_as_its_readme_says(here: Path) -> None:
+    create("driver", "my_part", here)
+    folder = here / "my_part"
+    (line,) = [
+        line for line in (folder / "README.md").read_text().splitlines() if "sensors test" in line
+    ]
+    words = line.partition("#")[0].split()[1:]
+
+    said = done(folder, "pipeline.entry", *words, "--seconds", "1")
+
+    assert "the contract is kept" in said
+
+
 @pytest.mark.lengthy
 def test_the_generated_task_is_evaluated_by_its_file(here: Path) -> None:
     create("task", "my_part", here)
