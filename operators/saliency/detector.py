@@ -232,8 +232,12 @@ def _size(
     if max(size_px) > MOST_PX:
         raise WeightsError(f"{path}: expected an input of up to {MOST_PX} pixels, got {size_px}")
     if any(wanted) and size_px != wanted:
-        what = f"the input of {path.name} is {size_px[0]}x{size_px[1]}"
-        raise wrong(f"{said}: {what}, expected that or nothing, got {wanted}")
+        width_px, height_px = size_px
+        what = f"the input of {path.name} is {width_px}x{height_px}"
+        # a graph that names a size cannot be told to name none
+        setting = f", as by --set NODE.input_px=[{width_px},{height_px}]"
+        remedy = setting if any(asked) else " or nothing"
+        raise wrong(f"{said}: {what}, expected that{remedy}, got {wanted}")
     if not all(fixed) and any(side % known.stride_px for side in size_px):
         what = f"expected multiples of {known.stride_px} for {path.name}"
         raise wrong(f"{said}: {what}, got {size_px}")

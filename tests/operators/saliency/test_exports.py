@@ -1,5 +1,6 @@
 """Users' own exports: what a file, its side file and the settings say together."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from operators.saliency.detector import Detector
 from operators.saliency.saliency import Saliency, SaliencySettings
 from pipeline import MessageError, SettingsError, WeightsError
+from tests.commands import command
 from tests.operators.networks import constant_network, counting_network
 from tests.operators.saliency.test_saliency import seen, yolo_output
 
@@ -235,6 +237,21 @@ def test_what_contradicts_the_network_is_refused(
 
     with pytest.raises((WeightsError, SettingsError), match=message):
         seen(weights, **settings)
+
+
+def test_a_refused_size_of_a_graph_comes_with_the_change_that_helps(tmp_path: Path) -> None:
+    names = "['player', 'goalkeeper', 'referee', 'ball']"
+    output = yolo_output((*AT, 0.9, 0, 0, 0))
+    weights = constant_network(tmp_path / "n.onnx", output, size_px=(640, 384), names=names)
+    graph = ("check", "tracking", "--set", f"saliency.weights={weights}")
+    usual = ("--set", "saliency.input_px=[736,416]")
+
+    refused = command(*graph, *usual)
+    told = re.search(r"--set NODE\.(input_px=\S+), got", refused.stderr)
+
+    assert told, refused.stderr
+    helped = command(*graph, *usual, "--set", f"saliency.{told[1]}")
+    assert (refused.returncode, helped.returncode) == (2, 0), helped.stderr
 
 
 def test_a_huge_input_is_refused_before_it_is_made(tmp_path: Path) -> None:
