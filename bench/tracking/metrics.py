@@ -20,7 +20,8 @@ class _Metrics(LateModule):
     """The module, in a process of its own as well, where nothing has imported it before."""
 
     def __getattr__(self, name: str) -> Any:
-        need_trackeval("metrics")
+        if not name.startswith("__"):
+            need_trackeval("metrics")
         return super().__getattr__(name)
 
 

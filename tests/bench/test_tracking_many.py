@@ -1,12 +1,16 @@
 """Tracks of many objects are scored against the truth: identities, hidden people, no tracks."""
 
+import sys
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from bench.tracking.many import figures, matched
 from bench.tracking.many_tables import COLUMNS, markdown_of_many
+from bench.tracking.metrics import metrics
 from drivers.source import Annotations
+from pipeline.errors import InstallError
 from pipeline.messages import Tracks
 from pipeline.testing import header
 
@@ -87,3 +91,13 @@ def test_rows_are_written_as_markdown() -> None:
     row = {column: 0.5 if column[0].isupper() else "x" for column in COLUMNS}
 
     assert markdown_of_many([row]).splitlines()[2].count("0.500") == 4
+
+
+def test_nothing_is_imported_by_what_only_looks_at_the_metrics(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "trackeval", None)  # as where it is not installed
+
+    assert not hasattr(metrics, "__wrapped__")
+    with pytest.raises(InstallError, match="metrics: expected the package trackeval"):
+        _ = metrics.HOTA
